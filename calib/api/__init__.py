@@ -1,7 +1,7 @@
 """The Python API: one function a stage, each returning a result with `summary`, `to_dict` and `plot`."""
 
-from calib.api.outputs import export, replay, report, simulate
-from calib.api.results import describe, diagnose, fit, geometry, ingest, plan, read
+from calib.api.outputs import export, plan, replay, report, simulate
+from calib.api.results import describe, diagnose, fit, geometry, ingest, read
 from calib.campaign.ingest.describe import Description
 from calib.campaign.model import Campaign
 from calib.gap.decision.diagnosis import Diagnosis, Plan

@@ -1,15 +1,20 @@
-"""What a law or a geometry does, and where it goes: `simulate`, `replay`, `report`, `export`."""
+"""What comes after a result: what to drive next, what a law does, and where it goes; `plan`, `simulate` to `export`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from numpy.random import Generator, default_rng
 
-from calib.api.arguments import checked
-from calib.api.results import CampaignLike, opened, refuse_below
-from calib.errors import BadInputError
+from calib.api.results import CampaignLike, checked, opened, refuse_below
+from calib.campaign.model import Campaign
+from calib.errors import BadInputError, CalibError
+from calib.gap.decision.diagnosis import Plan
+from calib.gap.plan.planned_runs import PlannedRun
 from calib.io import write_bytes
 from calib.kinematics.result import Geometry
 from calib.odometry import replay as replays
@@ -18,7 +23,71 @@ from calib.odometry.law_path import AxleLaw
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import LawJourneys, Simulation
 from calib.radius.result import Fit
+from calib.types import FloatArray, Progress, silent
 from calib.vehicle import Vehicle
+
+if TYPE_CHECKING:
+    from calib.kinematics.assemble import Promise
+
+
+@checked
+def plan(campaign: CampaignLike, *, most: int = 5, seed: int = 0) -> Plan:
+    """Say which runs to drive next, best first, and what each would tell apart.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        What was driven so far.
+    most : int
+        How many runs to name.
+    seed : int
+        Seed of the diagnosis behind it.
+
+    Returns
+    -------
+    Plan
+        The runs with the reason for each, and the intervals that `geometry` will give.
+    """
+    refuse_below(0, seed=seed)
+    refuse_below(1, most=most)
+    return proposed(opened(campaign), most=most, seed=seed)
+
+
+def proposed(
+    campaign: Campaign, *, among: Sequence[PlannedRun] | None = None, most: int, seed: int, progress: Progress = silent
+) -> Plan:
+    """Return the plan, see `plan`; `among`: runs to choose from, else the usual ones."""
+    from calib.gap.decision.kind import open_questions
+    from calib.gap.diagnose import diagnose_in_full
+    from calib.gap.plan.next_runs import next_runs, with_next
+
+    full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
+    ties = open_questions(full)
+    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, candidates=among, most=most)
+    with suppress(CalibError):
+        from calib.kinematics.assemble import Promise
+        from calib.kinematics.estimate import estimate_geometry
+
+        found = estimate_geometry(campaign, progress=progress)
+        now = Promise.of(found)
+        then = promised(with_next(_as_found(campaign, found), runs), now.scales) if runs else None
+        return Plan(campaign, full, tuple(runs), now, then)
+    return Plan(campaign, full, tuple(runs))
+
+
+def _as_found(campaign: Campaign, found: Geometry) -> Campaign:
+    names = {field.name for field in fields(campaign.model)}
+    known: dict[str, Any] = {one.name: one.value for one in found.estimates if one.name in names}
+    return replace(campaign, model=replace(campaign.model, **known))
+
+
+def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise | None:
+    """Return the intervals that the end poses of planned runs promise; None where they determine nothing."""
+    from calib.kinematics import assemble
+
+    with suppress(CalibError):
+        return assemble.promised(campaign, scales)
+    return None
 
 
 @checked

@@ -1,30 +1,126 @@
-"""From a campaign, a folder or a file to results: `read`, `fit`, `geometry`, `diagnose`, `plan`."""
+"""From a campaign, a folder or a file to results: `read`, `fit`, `geometry`, `diagnose`.
+
+Arguments are held against their annotations: what cannot be used is a `BadInputError`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+import operator
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import replace
+from functools import wraps
+from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from calib import __version__
-from calib.api.arguments import checked
 from calib.campaign.ingest import describe as descriptions
 from calib.campaign.ingest.describe import Description
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign, read_or_ingest
-from calib.errors import BadInputError, CalibError
-from calib.gap.decision.diagnosis import Diagnosis, Plan
+from calib.errors import BadInputError
+from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.effects.library import check_excluded
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.planned_runs import PlannedRun
 from calib.kinematics.result import Geometry
 from calib.radius.result import Fit, provenance
-from calib.types import FloatArray, Progress, silent
 
-if TYPE_CHECKING:
-    from calib.kinematics.assemble import Promise
+Parameters = ParamSpec("Parameters")
+Returned = TypeVar("Returned")
+
+#: characters of a value that a message shows
+SHOWN: Final = 40
+#: what an argument shall be, in words
+WORDS: Final[Mapping[Any, str]] = {
+    str: "a text",
+    int: "a whole number",
+    float: "a number",
+    bool: "True or False",
+    Path: "a path",
+    NoneType: "None",
+}
+
+
+def checked(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
+    """Return the function with its arguments held against their annotations.
+
+    Whole numbers and numbers of numpy are taken; so are texts and path-like objects for paths. Raises BadInputError,
+    which says which argument, what was found and what is expected.
+    """
+
+    @wraps(function)
+    def called(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
+        bound = bind(function, args, kwargs)
+        return function(*bound.args, **bound.kwargs)
+
+    return called
+
+
+def bind(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> inspect.BoundArguments:
+    """Return the arguments of a call as the function's annotations have them; raises BadInputError."""
+    try:
+        bound = inspect.signature(function).bind(*args, **kwargs)
+    except TypeError as error:
+        raise TypeError(f"{function.__name__}: {error}; see help(calib.{function.__name__})") from None
+    hints = get_type_hints(function)
+    for name, value in bound.arguments.items():
+        try:
+            bound.arguments[name] = _accepted(value, hints[name])
+        except (TypeError, ValueError):
+            text = repr(value)
+            text = text if len(text) <= SHOWN else f"{text[: SHOWN - 3]}..."
+            raise BadInputError(
+                f"{function.__name__}: {name}: found {text} ({type(value).__name__}); expected "
+                f"{_words(hints[name])}; see help(calib.{function.__name__})"
+            ) from None
+    return bound
+
+
+def _accepted(value: Any, hint: Any) -> Any:
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin is None:
+        return _plain(value, hint)
+    if origin in (Union, UnionType):
+        # a text stays a text where either is taken
+        for part in sorted(inner, key=lambda one: one is Path):
+            with suppress(TypeError, ValueError):
+                return _accepted(value, part)
+    elif origin is Literal and isinstance(value, str) and value in inner:
+        return value
+    elif origin is tuple and isinstance(value, Sequence) and not isinstance(value, str | bytes):
+        return tuple(_accepted(one, part) for one, part in zip(value, inner, strict=True))
+    elif origin is Sequence and isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping):
+        return tuple(_accepted(one, inner[0]) for one in value)
+    raise TypeError
+
+
+def _plain(value: Any, hint: Any) -> Any:
+    if hint is Path and isinstance(value, str | PathLike) and isinstance(text := fspath(value), str):
+        return Path(text)
+    if hint is int and not isinstance(value, bool):
+        return operator.index(value)
+    if hint is float and not isinstance(value, bool | str | bytes):
+        return float(value)
+    if isinstance(value, hint):
+        return value
+    raise TypeError
+
+
+def _words(hint: Any) -> str:
+    origin, inner = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(_words(part) for part in inner))
+    if origin is Literal:
+        return f"one of {', '.join(inner)}"
+    if origin is tuple:
+        return f"{len(inner)} values: {', '.join(_words(part) for part in inner)}"
+    if origin is Sequence:
+        return f"a list, each {_words(inner[0])}"
+    return WORDS.get(hint, f"a {hint.__name__}")
+
 
 #: a campaign, or the folder or recording that it is read from
 CampaignLike = Campaign | Path | str
@@ -258,63 +354,3 @@ def diagnose(
     if exclude:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     return diagnosed(campaign, model, exclude, seed, journeys)[0]
-
-
-@checked
-def plan(campaign: CampaignLike, *, most: int = 5, seed: int = 0) -> Plan:
-    """Say which runs to drive next, best first, and what each would tell apart.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        What was driven so far.
-    most : int
-        How many runs to name.
-    seed : int
-        Seed of the diagnosis behind it.
-
-    Returns
-    -------
-    Plan
-        The runs with the reason for each, and the intervals that `geometry` will give.
-    """
-    refuse_below(0, seed=seed)
-    refuse_below(1, most=most)
-    return proposed(opened(campaign), most=most, seed=seed)
-
-
-def proposed(
-    campaign: Campaign, *, among: Sequence[PlannedRun] | None = None, most: int, seed: int, progress: Progress = silent
-) -> Plan:
-    """Return the plan, see `plan`; `among`: runs to choose from, else the usual ones."""
-    from calib.gap.decision.kind import open_questions
-    from calib.gap.diagnose import diagnose_in_full
-    from calib.gap.plan.next_runs import next_runs, with_next
-
-    full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
-    ties = open_questions(full)
-    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, candidates=among, most=most)
-    with suppress(CalibError):
-        from calib.kinematics.assemble import Promise
-        from calib.kinematics.estimate import estimate_geometry
-
-        found = estimate_geometry(campaign, progress=progress)
-        now = Promise.of(found)
-        then = promised(with_next(_as_found(campaign, found), runs), now.scales) if runs else None
-        return Plan(campaign, full, tuple(runs), now, then)
-    return Plan(campaign, full, tuple(runs))
-
-
-def _as_found(campaign: Campaign, found: Geometry) -> Campaign:
-    names = {field.name for field in fields(campaign.model)}
-    known: dict[str, Any] = {one.name: one.value for one in found.estimates if one.name in names}
-    return replace(campaign, model=replace(campaign.model, **known))
-
-
-def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise | None:
-    """Return the intervals that the end poses of planned runs promise; None where they determine nothing."""
-    from calib.kinematics import assemble
-
-    with suppress(CalibError):
-        return assemble.promised(campaign, scales)
-    return None

@@ -248,7 +248,7 @@ def plan(
 
 
 def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None:
-    from calib.api.results import proposed
+    from calib.api.outputs import proposed
     from calib.campaign.read import read_campaign
     from calib.gap.plan.next_runs import read_candidates
     from calib.reporting.topics.diagnosis import runs_and_promises, without_runs
@@ -264,7 +264,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None
 
 
 def _judge(source: Path, figures: Path | None) -> None:
-    from calib.api.results import promised
+    from calib.api.outputs import promised
     from calib.gap.plan.identifiability import outlook_of
     from calib.gap.plan.next_runs import read_plan
     from calib.reporting.topics.diagnosis import outlook_content, promise_table

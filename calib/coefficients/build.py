@@ -20,9 +20,16 @@ from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import file as kept
 from calib.coefficients import formats, sections
-from calib.coefficients.file import CoefficientFile, Outside, effects_left_out, load_coefficients, sealed
+from calib.coefficients.file import (
+    CoefficientFile,
+    GeometrySection,
+    Outside,
+    effects_left_out,
+    load_coefficients,
+    sealed,
+)
 from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
-from calib.coefficients.sections import GeometrySection, Quantity, VehicleSection, WheelSection, WheelsSection
+from calib.coefficients.sections import Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 from calib.radius.result import Fit, is_result, read_result
@@ -158,7 +165,7 @@ def from_law(
         outside=header.outside,
         wheels=wheels,
         vehicle=VehicleSection.of(vehicle, track_std=noise.track_std_m, gravity=GRAVITY_MPS2),
-        encoder=sections.EncoderSection.of(encoder),
+        encoder=kept.EncoderSection.of(encoder),
         noise=sections.NoiseSection.of(noise, count_std=COUNT_STD),
         limits=sections.LimitsSection.of(max_step=_max_step_m(law, encoder), max_gap=MAX_GAP_S),
         load_table=[
@@ -246,7 +253,7 @@ def joint_section(
         one, other = units[names[row]], units[names[column]]
         unit = f"({one})^2" if one == other else f"({one})({other})"
         entry = Quantity.of(value=float(covariance[row, column]), unit=unit)
-        entries.append(sections.CovarianceEntry.of(first=names[row], second=names[column], covariance=entry))
+        entries.append(kept.CovarianceEntry.of(first=names[row], second=names[column], covariance=entry))
     return GeometrySection.of(
         drive=drive,
         source=source,

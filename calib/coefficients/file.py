@@ -14,16 +14,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError, model_validator
 
-from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel, Reference
+from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel, OdometrySource, Reference
 from calib.campaign.wheels import STEERED
 from calib.coefficients import sections
-from calib.coefficients.quantities import Section, first_fault, validated
-from calib.coefficients.sections import VehicleSection, WheelSection, WheelsSection
+from calib.coefficients.sections import Quantity, Section, VehicleSection, WheelsSection, first_fault, validated
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError
 from calib.radius.law import JOINT, RadiusLaw
 from calib.types import FloatArray, floats
-from calib.vehicle import Vehicle
+from calib.vehicle import Drive, Vehicle
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -42,6 +41,63 @@ USUAL_VEHICLE: Final = {"drive": "tricycle"} | dict.fromkeys(("front_wheel_radiu
 FILE_LIMIT_BYTES: Final = 16 << 20
 
 
+class EncoderSection(Section):
+    """Rear-wheel encoders; wrap_bits is null where the counter does not wrap."""
+
+    counts_per_rev_left: sections.CountsPerRev
+    counts_per_rev_right: sections.CountsPerRev
+    wrap_bits: sections.Bits | None = None
+
+
+class CovarianceEntry(Section):
+    """Covariance of two parameters of the geometry; of one with itself: its variance."""
+
+    first: str
+    second: str
+    covariance: Quantity
+
+
+class GeometrySection(Section):
+    """Geometry estimated together: every parameter of the drive, and the joint covariance of those determined.
+
+    Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
+    that couple left, right and track. Parameters without a variance were not determined and keep their nominal
+    value. run_covariance: of a single run's scatter about both laws of a corridor campaign.
+    """
+
+    drive: Drive
+    source: OdometrySource
+    parameters: dict[str, Quantity]
+    covariance: list[CovarianceEntry]
+    run_covariance: Quantity | None = None
+
+    @model_validator(mode="after")
+    def _known(self) -> Self:
+        names = {name for entry in self.covariance for name in (entry.first, entry.second)}
+        if not names <= set(self.parameters):
+            raise ValueError(f"covariance names {', '.join(sorted(names - set(self.parameters)))}, which have no value")
+        return self
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Value of each parameter."""
+        return {name: quantity.value for name, quantity in self.parameters.items()}
+
+
+class AcceptedSection(Section):
+    """Findings beyond the bounds of the vehicle that the user passed on, and why."""
+
+    reason: str
+    findings: list[str]
+
+
+class InputFile(Section):
+    """A file that the coefficients were computed from."""
+
+    path: str
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+
+
 class CoefficientFile(Section):
     """A coefficient file as read or about to be written; immutable.
 
@@ -57,16 +113,16 @@ class CoefficientFile(Section):
     outside: Outside
     wheels: WheelsSection
     vehicle: VehicleSection
-    encoder: sections.EncoderSection
+    encoder: EncoderSection
     noise: sections.NoiseSection
     limits: sections.LimitsSection
     load_table: list[sections.LoadPoint] = Field(default_factory=list)
     effects: list[sections.EffectSection] = Field(default_factory=list)
-    joint_geometry: sections.GeometrySection | None = None
+    joint_geometry: GeometrySection | None = None
     #: fields that were neither measured nor stated
     assumed: list[str] = Field(default_factory=list)
-    inputs: list[sections.InputFile] = Field(default_factory=list)
-    accepted_implausible: sections.AcceptedSection | None = None
+    inputs: list[InputFile] = Field(default_factory=list)
+    accepted_implausible: AcceptedSection | None = None
     checksum: Annotated[str, Field(pattern="^sha256:[0-9a-f]{64}$")]
 
     @model_validator(mode="after")
@@ -297,7 +353,7 @@ def fitted_beside(file: CoefficientFile) -> tuple[str, ...]:
     )
 
 
-def _radius(wheel: WheelSection, load_N: ArrayLike, outside: Outside, side: str) -> FloatArray:
+def _radius(wheel: sections.WheelSection, load_N: ArrayLike, outside: Outside, side: str) -> FloatArray:
     loads = floats(load_N)
     low, high = wheel.valid_load.min.value, wheel.valid_load.max.value
     if not np.isfinite(loads).all():

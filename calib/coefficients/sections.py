@@ -1,18 +1,178 @@
-"""The sections of the coefficient file; see `calib.coefficients.quantities` for their numbers."""
+"""The sections of the coefficient file, and what they are made of: numbers with their unit.
+
+A number is ``{"value": 0.7, "unit": "m"}``.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Self
+import re
+from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar, get_args
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from calib.campaign.settings import OdometrySource
-from calib.coefficients import quantities
-from calib.coefficients.quantities import Force, Length, Measured, Number, PositiveLength, Section
+from calib.errors import BadInputError
 from calib.radius.law import LineEstimate, WheelLaw
 from calib.types import FloatArray
 from calib.vehicle import Drive
+
+Positive = Annotated[float, Field(gt=0.0)]
+NonNegative = Annotated[float, Field(ge=0.0)]
+#: width of a counter
+BitCount = Annotated[float, Field(ge=8.0, le=48.0, multiple_of=1.0)]
+ValueT = TypeVar("ValueT", bound=float)
+UnitT = TypeVar("UnitT", bound=str)
+SectionT = TypeVar("SectionT", bound="Section")
+
+#: unit in the file -> suffix of the same number's name in Python
+SUFFIXES: Final = {
+    "m": "_m", "N": "_N", "kg": "_kg", "s": "_s", "m/N": "_m_per_N", "m/s^2": "_mps2",
+    "m/m^0.5": "_m_per_sqrt_m", "rad/m^0.5": "_rad_per_sqrt_m",
+}  # fmt: skip
+
+
+class Section(BaseModel):
+    """A part of the file: immutable, no unknown keys, no infinity or NaN, no numbers written as text."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+    @classmethod
+    def of(cls, source: object = None, /, **fields: Any) -> Self:
+        """Return the section of SI numbers, which get the units that it states, and of other fields as they are.
+
+        A field that is not given is the attribute of `source` with the same name and the suffix of its unit. Raises
+        BadInputError where a value breaks the schema.
+        """
+        for name in cls.model_fields.keys() - fields.keys():
+            unit = cls._unit(name)
+            attribute = name if unit is None else name + SUFFIXES.get(unit, "")
+            if hasattr(source, attribute):
+                fields[name] = getattr(source, attribute)
+        for name, value in fields.items():
+            unit = cls._unit(name)
+            if unit is not None and isinstance(value, (int, float)):
+                fields[name] = {"value": float(value), "unit": unit}
+        return validated(cls, fields)
+
+    @classmethod
+    def _unit(cls, name: str) -> str | None:
+        annotation: Any = cls.model_fields[name].annotation
+        kinds = [kind for kind in (annotation, *get_args(annotation)) if isinstance(kind, type)]
+        units = [get_args(kind.model_fields["unit"].annotation) for kind in kinds if issubclass(kind, Measured)]
+        return units[0][0] if units and units[0] else None
+
+    def si(self, *names: str) -> dict[str, Any]:
+        """Return fields as Python names them: with the suffix of their unit, and None where they are not in the file.
+
+        `names`: which fields; without, all numbers that have one unit.
+        """
+        numbers = {}
+        for name in names or type(self).model_fields:
+            unit = self._unit(name)
+            if unit is not None:
+                part = getattr(self, name)
+                numbers[name + SUFFIXES.get(unit, "")] = None if part is None else part.value
+        return numbers
+
+
+class Measured(Section, Generic[ValueT, UnitT]):
+    """A number and its unit."""
+
+    value: ValueT
+    unit: UnitT
+
+
+class Length(Measured[float, Literal["m"]]):
+    """A length."""
+
+
+class PositiveLength(Measured[Positive, Literal["m"]]):
+    """A length above zero."""
+
+
+class NonNegativeLength(Measured[NonNegative, Literal["m"]]):
+    """A length of zero or more."""
+
+
+class LengthPerForce(Measured[float, Literal["m/N"]]):
+    """Change of a length with a force."""
+
+
+class LengthSquared(Measured[NonNegative, Literal["m^2"]]):
+    """Variance of a length."""
+
+
+class LengthSquaredPerForce(Measured[float, Literal["m^2/N"]]):
+    """Covariance of a length and its change with force."""
+
+
+class LengthSquaredPerForceSquared(Measured[NonNegative, Literal["m^2/N^2"]]):
+    """Variance of the change of a length with force."""
+
+
+class Force(Measured[NonNegative, Literal["N"]]):
+    """A force; here a wheel load, so never below zero."""
+
+
+class Mass(Measured[Positive, Literal["kg"]]):
+    """A mass."""
+
+
+class GravityAcceleration(Measured[Positive, Literal["m/s^2"]]):
+    """Acceleration of free fall."""
+
+
+class Time(Measured[Positive, Literal["s"]]):
+    """A duration."""
+
+
+class Number(Measured[NonNegative, Literal["1"]]):
+    """A number without dimension."""
+
+
+class CountsPerRev(Measured[Positive, Literal["count/rev"]]):
+    """Encoder counts per revolution of the wheel."""
+
+
+class CountStd(Measured[NonNegative, Literal["count"]]):
+    """Standard deviation of one encoder reading."""
+
+
+class Bits(Measured[BitCount, Literal["bit"]]):
+    """Width of a counter."""
+
+
+class LengthPerRootMetre(Measured[NonNegative, Literal["m/m^0.5"]]):
+    """Random walk of the distance along the path, per square root of the distance driven."""
+
+
+class HeadingPerRootMetre(Measured[NonNegative, Literal["rad/m^0.5"]]):
+    """Random walk of the heading, per square root of the distance driven."""
+
+
+def first_fault(error: ValidationError) -> tuple[str, str, str]:
+    """Return place, found value and expectation of the first fault."""
+    first = error.errors(include_url=False)[0]
+    value = first.get("input")
+    found = repr(value) if isinstance(value, (str, int, float)) or value is None else f"a {type(value).__name__}"
+    expected = re.sub("^(Value error, |.* should (be|have) )", "", first["msg"])
+    if first["type"] == "missing":
+        found, expected = "nothing", "a value"
+    return ".".join(str(part) for part in first["loc"]), found, expected
+
+
+def validated(section: type[SectionT], fields: dict[str, object]) -> SectionT:
+    """Return a section of its fields, as models or plain values.
+
+    Raises BadInputError where they break the schema.
+    """
+    try:
+        return section.model_validate(fields)
+    except ValidationError as error:
+        where, found, expected = first_fault(error)
+        found = f"{where or 'the coefficients'}: found {found}"
+        raise BadInputError(f"{found}; expected {expected}; these make no coefficient file") from error
+
 
 #: how far a covariance may miss being positive semi-definite through rounding, relative
 ROUNDING: Final = 1e-9
@@ -41,18 +201,18 @@ class LoadRange(Section):
 class StratumSection(Section):
     """A part of a law's covariance with its own degrees of freedom, and the standard deviation behind it."""
 
-    variance_radius_ref: quantities.LengthSquared
-    covariance_radius_ref_slope: quantities.LengthSquaredPerForce
-    variance_slope: quantities.LengthSquaredPerForceSquared
+    variance_radius_ref: LengthSquared
+    covariance_radius_ref_slope: LengthSquaredPerForce
+    variance_slope: LengthSquaredPerForceSquared
     dof: Number
-    scatter: quantities.NonNegativeLength
+    scatter: NonNegativeLength
 
 
 class SystematicSection(Section):
     """What one standard uncertainty of a source that is the same in every run changes; dof null: infinite."""
 
     radius_ref: Length
-    slope: quantities.LengthPerForce
+    slope: LengthPerForce
     dof: Number | None = None
 
 
@@ -125,13 +285,13 @@ class WheelSection(Section):
     """
 
     radius_ref: PositiveLength
-    slope: quantities.LengthPerForce
+    slope: LengthPerForce
     reference_load: Force
-    variance_radius_ref: quantities.LengthSquared
-    covariance_radius_ref_slope: quantities.LengthSquaredPerForce
-    variance_slope: quantities.LengthSquaredPerForceSquared
+    variance_radius_ref: LengthSquared
+    covariance_radius_ref_slope: LengthSquaredPerForce
+    variance_slope: LengthSquaredPerForceSquared
     dof: Number
-    residual_std: quantities.NonNegativeLength
+    residual_std: NonNegativeLength
     n_runs: Number
     valid_load: LoadRange
     strata: StrataSection | None = None
@@ -181,42 +341,34 @@ class VehicleSection(Section):
     """
 
     track: PositiveLength
-    track_std: quantities.NonNegativeLength
+    track_std: NonNegativeLength
     wheelbase: PositiveLength
     wheel_radius: PositiveLength
-    mass: quantities.Mass
+    mass: Mass
     cog_x: Length
     cog_y: Length
     cog_z: Length
     max_wheel_load: Force
-    gravity: quantities.GravityAcceleration
+    gravity: GravityAcceleration
     drive: Drive = "tricycle"
     front_wheel_radius: PositiveLength | None = None
     load_track: PositiveLength | None = None
     load_wheelbase: PositiveLength | None = None
 
 
-class EncoderSection(Section):
-    """Rear-wheel encoders; wrap_bits is null where the counter does not wrap."""
-
-    counts_per_rev_left: quantities.CountsPerRev
-    counts_per_rev_right: quantities.CountsPerRev
-    wrap_bits: quantities.Bits | None = None
-
-
 class NoiseSection(Section):
     """Random part of the pose's covariance: random walk per square root of metre, and one encoder reading."""
 
-    along: quantities.LengthPerRootMetre
-    heading: quantities.HeadingPerRootMetre
-    count_std: quantities.CountStd
+    along: LengthPerRootMetre
+    heading: HeadingPerRootMetre
+    count_std: CountStd
 
 
 class LimitsSection(Section):
     """Faults for the runtime: a longer travel, or a longer gap, between two samples."""
 
     max_step: PositiveLength
-    max_gap: quantities.Time
+    max_gap: Time
 
 
 class LoadPoint(Section):
@@ -234,52 +386,3 @@ class EffectSection(Section):
     form: Annotated[str, Field(max_length=256)] = ""
     settings: dict[str, float] = Field(default_factory=dict)
     parameters: dict[str, Quantity]
-
-
-class CovarianceEntry(Section):
-    """Covariance of two parameters of the geometry; of one with itself: its variance."""
-
-    first: str
-    second: str
-    covariance: Quantity
-
-
-class GeometrySection(Section):
-    """Geometry estimated together: every parameter of the drive, and the joint covariance of those determined.
-
-    Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
-    that couple left, right and track. Parameters without a variance were not determined and keep their nominal
-    value. run_covariance: of a single run's scatter about both laws of a corridor campaign.
-    """
-
-    drive: Drive
-    source: OdometrySource
-    parameters: dict[str, Quantity]
-    covariance: list[CovarianceEntry]
-    run_covariance: Quantity | None = None
-
-    @model_validator(mode="after")
-    def _known(self) -> Self:
-        names = {name for entry in self.covariance for name in (entry.first, entry.second)}
-        if not names <= set(self.parameters):
-            raise ValueError(f"covariance names {', '.join(sorted(names - set(self.parameters)))}, which have no value")
-        return self
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Value of each parameter."""
-        return {name: quantity.value for name, quantity in self.parameters.items()}
-
-
-class AcceptedSection(Section):
-    """Findings beyond the bounds of the vehicle that the user passed on, and why."""
-
-    reason: str
-    findings: list[str]
-
-
-class InputFile(Section):
-    """A file that the coefficients were computed from."""
-
-    path: str
-    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.api.arguments import bind, checked
+from calib.api.results import bind, checked
 from calib.errors import BadInputError, CalibError
 
 #: values that no argument of a kind is meant to be; every function gets each of them in each place

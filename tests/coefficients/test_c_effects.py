@@ -13,7 +13,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import ExportOptions
-from calib.coefficients.formats.c_and_csv import EFFECTS_NAME, OTHER_FORMS, effects_header, known_effects
+from calib.coefficients.formats.for_vehicle import EFFECTS_NAME, OTHER_FORMS, effects_header, known_effects
 from calib.coefficients.sections import EffectSection
 from calib.gap.effects.library import every_effect, section_of
 from calib.gap.observations.arrays import Observations

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from calib.coefficients.build import export
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats.c_and_csv import FixedPoint, fixed_point
+from calib.coefficients.formats.for_vehicle import FixedPoint, fixed_point
 from calib.coefficients.sections import EffectSection, WheelSection
 from calib.errors import RefusedError
 

@@ -14,7 +14,7 @@ import yaml
 from calib.coefficients.build import export
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import FORMATS, ExportOptions
-from calib.coefficients.formats.ros2 import CONTROLLERS
+from calib.coefficients.formats.for_vehicle import CONTROLLERS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "exports.md").read_text(encoding="utf-8")
 #: what the page shows as code; the words of a command's output do not count

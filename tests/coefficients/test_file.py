@@ -17,8 +17,7 @@ from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, export, from_law, load_points
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.formats import LoadPair
-from calib.coefficients.quantities import first_fault
-from calib.coefficients.sections import EffectSection
+from calib.coefficients.sections import EffectSection, first_fault
 from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
 from calib.radius.law import LineEstimate, RadiusLaw
 from calib.vehicle import Vehicle

@@ -16,8 +16,8 @@ import yaml
 from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, export, from_law
 from calib.coefficients.file import CoefficientFile
-from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair, ros2
-from calib.coefficients.formats.ros2 import CONTROLLERS, OF_DRIVE
+from calib.coefficients.formats import FORMATS, ExportOptions, LoadPair, for_vehicle
+from calib.coefficients.formats.for_vehicle import CONTROLLERS, OF_DRIVE
 from calib.errors import BadInputError, RefusedError
 from calib.radius.law import RadiusLaw
 from calib.runtime import Coefficients, Odometer
@@ -153,11 +153,11 @@ def driven(file: CoefficientFile, travels: list[tuple[float, float]]) -> np.ndar
 def test_the_pose_variances_are_those_of_the_vehicles_own_odometry(file: CoefficientFile) -> None:
     """The runtime drives a straight for x and y; yaw adds the mean of a left and a right turn."""
     diagonal = parameters(file, LOAD)["diff_drive_controller"]["pose_covariance_diagonal"]
-    length, steps = ros2.PATH_M, 2000
+    length, steps = for_vehicle.PATH_M, 2000
     straight = driven(file, [(length / steps, length / steps)] * steps)
     # the sum of a random walk in steps against its integral: 1.5 / steps of the part of y
     assert diagonal[:2] == pytest.approx([straight[0, 0], straight[1, 1]], rel=2e-3)
-    arc = 0.5 * file.vehicle.track.value * ros2.TURN_RAD
+    arc = 0.5 * file.vehicle.track.value * for_vehicle.TURN_RAD
     turns = [driven(file, [(length, length), (-side * arc, side * arc)])[2, 2] for side in (1.0, -1.0)]
     assert diagonal[5] == pytest.approx(np.mean(turns), rel=SIX_DIGITS)
     assert diagonal[2:5] == [1e6] * 3
@@ -180,7 +180,7 @@ def test_a_steering_without_calibration_is_stated_as_assumed(file: CoefficientFi
     text = export(file, "ros2", [LOAD])[0].data.decode()
     assert "assumed, since not calibrated: front_radius_m, wheelbase_m, steering_zero_rad, steering_scale" in text
     yaw = parameters(file, LOAD)["tricycle_steering_controller"]["pose_covariance_diagonal"][5]
-    assert yaw > (ros2.PATH_M * math.radians(1.0)) ** 2
+    assert yaw > (for_vehicle.PATH_M * math.radians(1.0)) ** 2
     way = [parameters(file, LOAD)[name]["pose_covariance_diagonal"][0] for name in OF_DRIVE["tricycle"]]
     assert way[0] == way[2] < way[1]
 

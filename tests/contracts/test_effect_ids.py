@@ -27,7 +27,7 @@ EXEMPT = {
     # the same effects without the library: the folder stands alone, tests/runtime/test_effects.py holds both together
     "runtime/effects.py",
     # the same in C: tests/coefficients/test_c_effects.py
-    "coefficients/formats/c_and_csv.py",
+    "coefficients/formats/for_vehicle.py",
 }
 PLANT = PACKAGE / "plant"
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from calib.api.results import proposed
+from calib.api.outputs import proposed
 from calib.campaign.model import Logs
 from calib.campaign.read import read_campaign
 from calib.cli.main import run

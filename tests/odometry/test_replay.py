@@ -15,8 +15,8 @@ from calib.campaign.read import read_campaign
 from calib.campaign.settings import Reference
 from calib.campaign.tables import write_campaign
 from calib.coefficients.build import Header, coefficients_of, from_law
-from calib.coefficients.file import CoefficientFile, believed_model
-from calib.coefficients.sections import GeometrySection, Quantity
+from calib.coefficients.file import CoefficientFile, GeometrySection, believed_model
+from calib.coefficients.sections import Quantity
 from calib.errors import RefusedError
 from calib.gap.effects.library import model_of
 from calib.gap.effects.load import LoadRadius

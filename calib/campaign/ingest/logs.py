@@ -22,8 +22,8 @@ from calib.campaign.logs import (
     refuse_incomplete,
 )
 from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, Border, Note
-from calib.campaign.readers import RawTable, holds_recording, read_recording, read_table
-from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty, joined_table
+from calib.campaign.readers import RawTable, holds_recording, joined_table, read_recording, read_table
+from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import Encoder, Recognised, converted, recognise

@@ -1,26 +1,29 @@
-"""Recordings: streams with clocks of their own in integer nanoseconds; the reader of TUM trajectories.
+"""Recordings: streams with clocks of their own in integer nanoseconds; the readers of TUM trajectories and of ROS.
 
-A TUM trajectory (``.tum``) has lines of ``timestamp tx ty tz qx qy qz qw``, with ``#`` before remarks.
+A TUM trajectory (``.tum``) has lines of ``timestamp tx ty tz qx qy qz qw``, with ``#`` before remarks. ROS, with the
+``ros`` extra: ROS 1 bags, rosbag2 folders and files (sqlite3, MCAP), plain MCAP.
 """
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Mapping
+from array import array
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import compress
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from calib.campaign.model import Note
-from calib.campaign.readers.table import NS_PER_S, RawTable
-from calib.errors import BadFileError
+from calib.campaign.readers.table import GAP_STEPS, NS_PER_S
+from calib.errors import BadFileError, error_words, missing_reader
 from calib.types import FloatArray, IntArray, unwrapped
 
-#: a gap exceeds so many usual steps
-GAP_STEPS: Final = 5.0
 #: note of message types not read
 UNREAD_TYPES: Final = "skipped"
 #: see `planar_pose`
@@ -126,50 +129,6 @@ class WantedColumns(frozenset[str]):
         return any(name.startswith((f"{topic}:", f"{topic}[", f"{topic}#")) for name in self)
 
 
-def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
-    """Return a column at other times, (n_times,), NaN outside the span and in gaps.
-
-    `shift_ns`: the stream's lag, taken off first.
-    """
-    known = ~np.isnan(stream.columns[column])
-    if stream.time_ns is None or not known.any():
-        return np.full(len(at_ns), np.nan)
-    times, values = stream.time_ns[known] - shift_ns, stream.columns[column][known]
-    # nanoseconds since 1970 are not exact as float
-    origin = int(times[0])
-    since, wanted = (times - origin).astype(np.float64), (at_ns - origin).astype(np.float64)
-    out: FloatArray = np.interp(wanted, since, values, left=np.nan, right=np.nan)
-    if len(steps := np.diff(since)):
-        step = steps[np.clip(np.searchsorted(since, wanted), 1, len(steps)) - 1]
-        out[(step > max(GAP_STEPS * float(np.median(steps)), 1.0)) & ~np.isin(wanted, since)] = np.nan
-    return out
-
-
-def joined_table(
-    recording: Recording, base: Stream | None = None, shifts_s: Mapping[str, float] | None = None, clock: bool = True
-) -> RawTable:
-    """Return the recording as one table on the times of `base` (by default the longest), the others interpolated.
-
-    `shifts_s`: column -> lag, taken off; `clock`: whether `base` has the clock, else columns of its length are kept.
-    """
-    if not recording.streams:
-        return RawTable({}, np.zeros(0, dtype=np.int64), recording.notes)
-    base = base or max(recording.streams, key=len)
-    columns: dict[str, npt.NDArray[Any]] = {}
-    epochs: dict[str, int] = {}
-    time = base.time_ns if clock else None
-    if time is not None and len(time) and "t_s" not in recording.column_names:
-        columns["t_s"], epochs["t_s"] = (time - time[0]) / NS_PER_S, int(time[0])
-    for stream in recording.streams:
-        for name, values in stream.columns.items():
-            if stream is base or (len(values) == len(base) and (stream.time_ns is None or time is None)):
-                columns[name] = values
-            elif time is not None and stream.time_ns is not None:
-                shift_ns = round((shifts_s or {}).get(name, 0.0) * NS_PER_S)
-                columns[name] = interpolated(stream, name, time, shift_ns=shift_ns)
-    return RawTable(columns, np.arange(1, len(base) + 1, dtype=np.int64), recording.notes, epochs)
-
-
 def check_not_empty(recording: Recording, shown: str) -> None:
     """Raise BadFileError where no stream holds a sample."""
     if any(len(stream) for stream in recording.streams):
@@ -194,7 +153,7 @@ def planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     return {name: out[name] for name in order if name in out}
 
 
-def record(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
+def record_tum(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
     """Read a TUM trajectory."""
     times: list[int] = []
     poses: list[list[float]] = []
@@ -230,3 +189,207 @@ def decimal_ns(text: str) -> int:
     digits = (match[3] or "")[:10].ljust(10, "0")
     nanoseconds = int(match[2]) * NS_PER_S + (int(digits) + 5) // 10
     return -nanoseconds if match[1] == "-" else nanoseconds
+
+
+#: of messages, from which stamps are the clock
+_STAMPED_SHARE: Final = 0.99
+_TWIST: Final = ("v_x", "v_y", "omega")
+
+#: part of a message: suffix of its stream, columns, numbers, header with a stamp
+Part = tuple[str, tuple[str, ...], Sequence[float], Any]
+
+
+def record_ros(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
+    """Read the topics of known message types; only the wanted numbers are kept, eight bytes each."""
+    with _opened(path, shown) as reader:
+        known = [connection for connection in reader.connections if connection.msgtype in MESSAGE_TYPES]
+        if isinstance(wanted, WantedColumns):
+            known = [connection for connection in known if wanted.of_topic(connection.topic)]
+        buffers: dict[tuple[str, tuple[str, ...]], _Buffer] = {}
+        with _damage_named(shown):
+            for connection, arrival, data in reader.messages(connections=known) if known else ():
+                kind, topic = connection.msgtype, connection.topic
+                for suffix, names, numbers, header in MESSAGE_TYPES[kind](reader.deserialize(data, kind)):
+                    key = (topic + suffix, names)
+                    if key not in buffers:
+                        buffers[key] = _Buffer(topic + suffix, kind, names, wanted)
+                    buffers[key].add(numbers, arrival, header)
+        unread = sorted({connection.msgtype for connection in reader.connections} - set(MESSAGE_TYPES))
+    notes: list[Note] = []
+    if unread and (wanted is None or not buffers):
+        notes.append(Note("info", shown, f"messages that calib does not read: {', '.join(unread)[:200]}", UNREAD_TYPES))
+    return Recording(tuple(_named_apart([buffer.stream(shown, notes) for buffer in buffers.values()])), tuple(notes))
+
+
+class _Buffer:
+    def __init__(self, name: str, kind: str, names: Sequence[str], wanted: Callable[[str], bool] | None) -> None:
+        self.name, self.kind = name, kind
+        self.arrival, self.stamp, self.numbers = array("q"), array("q"), array("d")
+        self.unstamped = 0
+        yaw = wanted is not None and wanted(f"{name}:yaw")
+        asked = [wanted is None or wanted(f"{name}:{column}") or (yaw and column in POSE[3:]) for column in names]
+        kept = [index for index, taken in enumerate(asked) if taken]
+        self.names = [names[index] for index in kept]
+        self.kept = kept if len(kept) < len(names) else None
+
+    def add(self, numbers: Sequence[float], arrival: int, header: Any) -> None:
+        self.arrival.append(arrival)
+        stamp = header and header.stamp.sec * NS_PER_S + header.stamp.nanosec
+        self.unstamped += not stamp
+        self.stamp.append(stamp or arrival)
+        self.numbers.extend(numbers if self.kept is None else [numbers[index] for index in self.kept])
+
+    def stream(self, shown: str, notes: list[Note]) -> Stream:
+        table = np.frombuffer(self.numbers, dtype=np.float64).reshape(len(self.arrival), len(self.names))
+        arrival, stamp = (np.frombuffer(times, dtype=np.int64) for times in (self.arrival, self.stamp))
+        stamped = self.unstamped < (1.0 - _STAMPED_SHARE) * len(arrival)
+        time = stamp if stamped else arrival
+        if backward := int((np.diff(time) < 0).sum()):
+            order = np.argsort(time, kind="stable")
+            time, table = time[order], table[order]
+            text = f"{backward} message(s) out of order were sorted by time"
+            notes.append(Note("info", f"{shown}, {self.name}", text, "order"))
+        columns = planar_pose(dict(zip(self.names, table.T, strict=True)))
+        return Stream(
+            name=self.name,
+            kind=self.kind,
+            columns={f"{self.name}:{name}": np.ascontiguousarray(values) for name, values in columns.items()},
+            time_ns=np.ascontiguousarray(time),
+            clock="stamps of the messages" if stamped else "arrival of the messages",
+            units={f"{self.name}:{name}": COLUMN_UNITS[name] for name in columns if name in COLUMN_UNITS},
+            behind_arrival_s=float(np.median(arrival - stamp)) / NS_PER_S if stamped else None,
+        )
+
+
+def _named_apart(streams: Iterable[Stream]) -> Iterator[Stream]:
+    # of a topic's streams of different joints the largest keeps its name
+    taken: dict[str, int] = {}
+    for stream in sorted(streams, key=len, reverse=True):
+        number = taken[stream.name] = taken.get(stream.name, 0) + 1
+        name = f"{stream.name}#{number}"
+        columns = {name + column[len(stream.name) :]: values for column, values in stream.columns.items()}
+        yield stream if number == 1 else replace(stream, name=name, columns=columns, units={})
+
+
+@contextmanager
+def _opened(path: Path, shown: str) -> Iterator[Any]:
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise missing_reader(shown, "a ROS recording", "rosbags", "ros") from error
+    source = path.parent if path.name == "metadata.yaml" else path
+    if source.is_file() and source.stat().st_size == 0:
+        raise _damaged(shown, "the file is empty")
+    with _damage_named(shown):
+        try:
+            reader = AnyReader([source], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+            reader.open()
+        except OSError as error:
+            remedy = "check the path and its rights"
+            raise BadFileError(shown, str(error)[:120], "a readable recording", remedy) from error
+    try:
+        encodings = {getattr(connection.ext, "serialization_format", "cdr") for connection in reader.connections}
+        if unknown := sorted(map(str, encodings - {"cdr", ""})):
+            raise _unknown_encoding(shown, ", ".join(unknown))
+        yield reader
+    finally:
+        reader.close()
+
+
+@contextmanager
+def _damage_named(shown: str) -> Iterator[None]:
+    # the library's errors on damage are many
+    try:
+        yield
+    except (MemoryError, BadFileError):
+        raise
+    except Exception as error:
+        if "erialization format" in str(error):
+            raise _unknown_encoding(shown, str(error)) from error
+        raise _damaged(shown, error_words(error).rstrip(".")) from error
+
+
+def _unknown_encoding(shown: str, text: str) -> BadFileError:
+    name = text.partition("{")[2].partition("}")[0].strip("'") or text
+    expected = "ROS messages in 'cdr', the encoding that ROS 2 records in"
+    remedy = "convert the recording with 'ros2 bag convert' (serialization cdr), or record it again with the default"
+    return BadFileError(shown, f"messages in the encoding {name!r}, which calib cannot read", expected, remedy)
+
+
+def _damaged(shown: str, reason: str) -> BadFileError:
+    expected = "a whole one, closed by its recorder"
+    remedy = "copy it again, or repair it with 'mcap recover', 'ros2 bag reindex' or 'rosbag reindex'"
+    return BadFileError(shown, f"a recording that is cut or damaged ({reason})", expected, remedy)
+
+
+def _pose(pose: Any) -> tuple[float, ...]:
+    place, turn = pose.position, pose.orientation
+    return (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+
+
+def _twist(twist: Any) -> tuple[float, ...]:
+    return (twist.linear.x, twist.linear.y, twist.angular.z)
+
+
+@lru_cache(maxsize=256)
+def _joint_columns(names: tuple[str, ...], lengths: tuple[int, ...]) -> tuple[tuple[str, ...], tuple[bool, ...]]:
+    names = names or tuple(str(index) for index in range(max(lengths)))
+    given = tuple(length == len(names) for length in lengths)
+    fields = compress(("position", "velocity", "effort"), given)
+    return tuple(f"{field}.{name}" for field in fields for name in names), given
+
+
+def _joint_state(message: Any) -> list[Part]:
+    values = message.position, message.velocity, message.effort
+    names, given = _joint_columns(tuple(message.name), tuple(map(len, values)))
+    return [("", names, [number for part in compress(values, given) for number in part.tolist()], message.header)]
+
+
+def _transform(message: Any) -> Part:
+    place, turn = message.transform.translation, message.transform.rotation
+    numbers = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+    return f"[{message.header.frame_id}>{message.child_frame_id}]", POSE, numbers, message.header
+
+
+def _laser_scan(message: Any) -> list[Part]:
+    beams, ahead = len(message.ranges), 0
+    if beams > 1 and message.angle_increment:
+        ahead = min(max(round(-message.angle_min / message.angle_increment), 0), beams - 1)
+    distance = _finite(message.ranges[ahead]) if beams else math.nan
+    return [("", ("range" if beams < 2 else "range_ahead",), (distance,), message.header)]
+
+
+def _finite(value: float) -> float:
+    return float(value) if math.isfinite(value) else math.nan
+
+
+#: message type -> its parts
+MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
+    "sensor_msgs/msg/JointState": _joint_state,
+    "nav_msgs/msg/Odometry": lambda m: [("", POSE + _TWIST, _pose(m.pose.pose) + _twist(m.twist.twist), m.header)],
+    "geometry_msgs/msg/PoseStamped": lambda m: [("", POSE, _pose(m.pose), m.header)],
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: [("", POSE, _pose(m.pose.pose), m.header)],
+    "geometry_msgs/msg/TransformStamped": lambda m: [_transform(m)],
+    **dict.fromkeys(("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"), lambda m: list(map(_transform, m.transforms))),
+    "geometry_msgs/msg/Twist": lambda m: [("", _TWIST, _twist(m), None)],
+    "geometry_msgs/msg/TwistStamped": lambda m: [("", _TWIST, _twist(m.twist), m.header)],
+    "sensor_msgs/msg/Range": lambda m: [("", ("range",), (_finite(m.range),), m.header)],
+    "sensor_msgs/msg/LaserScan": _laser_scan,
+    "sensor_msgs/msg/Imu": lambda m: [("", ("angular_velocity_z",), (_finite(m.angular_velocity.z),), m.header)],
+    **dict.fromkeys(
+        (
+            f"std_msgs/msg/{kind}"
+            for kind in ("Float32", "Float64", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
+        ),
+        lambda m: [("", ("data",), (float(m.data),), None)],
+    ),
+}
+
+#: by the last part of a column's name
+COLUMN_UNITS: Final[Mapping[str, str]] = {
+    **dict.fromkeys(("x", "y", "z", "range", "range_ahead"), "m"),
+    **dict.fromkeys(("v_x", "v_y"), "mps"),
+    "yaw": "rad",
+    **dict.fromkeys(("omega", "angular_velocity_z"), "rad/s"),
+}

@@ -21,6 +21,8 @@ Cells = npt.NDArray[Any]
 Notes = list[Note] | None
 
 NS_PER_S: Final = 1_000_000_000
+#: a gap exceeds so many usual steps
+GAP_STEPS: Final = 5.0
 #: no measurement is larger, and squares would overflow
 LARGEST_VALUE: Final = 1e30
 #: rows searched for the header; loggers' preambles are shorter

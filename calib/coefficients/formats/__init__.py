@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 #: format -> module and function of this package, from file and options to its files; empty: the coefficient file
 FORMATS: Final = {
     "json": "",
-    "ros2": "ros2.render",
-    "c": "c_and_csv.coefficients_header",
-    "c_effects": "c_and_csv.effects_header",
-    "csv": "c_and_csv.radius_table",
+    "ros2": "for_vehicle.controllers_of",
+    "c": "for_vehicle.coefficients_header",
+    "c_effects": "for_vehicle.effects_header",
+    "csv": "for_vehicle.radius_table",
     "mjcf": "simulator_models.mjcf",
     "urdf": "simulator_models.urdf",
     "sdf": "simulator_models.sdf",
@@ -36,6 +36,8 @@ RADII_ONLY: Final = frozenset({"ros2", "c", "csv"})
 #: formats that change a copy of the user's model, and those that know two wheels on one axle alone
 PATCHING: Final = frozenset({"mjcf", "urdf", "sdf"})
 AXLE_ONLY: Final = PATCHING | {"c", "c_effects", "csv"}
+#: of a checksum: sha256: and 16, enough to find the file
+CHECKSUM_DIGITS: Final = 23
 #: of a user's name in a comment
 COMMENT_LENGTH: Final = 120
 

@@ -15,6 +15,7 @@ from typing import Final, NoReturn
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
+from calib.coefficients import formats
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions, LoadPair, accepted_lines, ascii_line, radii_m
 from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
@@ -287,8 +288,6 @@ def _further_wheels(model: ModelFile, set_ones: tuple[Wheel, Wheel], wheel: Find
     return (note,) if others else ()
 
 
-#: digits of a checksum that find the file
-CHECKSUM_DIGITS: Final = 23
 #: parameters of drive plugins and of ros2_control, and what they are of radii and track
 PLUGIN_KEYS: Final[dict[str, Callable[[NewWheels], float]]] = {
     "wheel_radius": lambda new: 0.5 * (new.left_m + new.right_m),
@@ -338,7 +337,7 @@ def patched(
     notes += _beyond(file, pair)
     comment = (
         f"calib: wheels at {pair.left_N:g} N left, {pair.right_N:g} N right",
-        f"coefficient file {file.checksum[:CHECKSUM_DIGITS]}",
+        f"coefficient file {file.checksum[: formats.CHECKSUM_DIGITS]}",
         f"campaign {ascii_line(file.name)}",
         *(["SIMULATED DATA"] if file.simulated else []),
         *accepted_lines(file),
