@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import TypeVar
 
 import numpy as np
@@ -71,3 +71,8 @@ def in_frame(apart: FloatArray, heading_rad: FloatArray) -> FloatArray:
 def evenly(count: int, most: int) -> IntArray:
     """Return the indices of at most `most` of `count` samples, at equal distances, both ends among them."""
     return np.linspace(0, max(count - 1, 0), min(count, most)).round().astype(np.int64)
+
+
+def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:
+    """Return the rows of columns of equal length (n,), each a mapping by name."""
+    return [dict(zip(columns, row, strict=True)) for row in np.stack(list(columns.values()), axis=1).tolist()]

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from calib.errors import BadInputError, RefusedError
-from calib.types import FloatArray, floats
+from calib.errors import SWEEP_VALUES, BadInputError, RefusedError
+from calib.types import FloatArray, floats, rows_of
 from calib.units import GRAVITY_MPS2
 
 Drive = Literal["tricycle", "differential", "mecanum", "ackermann", "skid"]
@@ -175,3 +175,61 @@ def payload_from_wheel_loads(
         payload_x_std_m=sigma_N * float(np.linalg.norm(by_x)),
         payload_y_std_m=sigma_N * float(np.linalg.norm(by_y)),
     )
+
+
+#: what can be swept -> unit
+SWEPT: Final = {"payload_kg": "kg", "payload_x_m": "m", "payload_y_m": "m"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadSweep:
+    """Wheel loads over a sweep."""
+
+    swept: str  #: what varies, of `SWEPT`; empty for a single payload
+    #: shape (n,): payloads
+    payload_kg: FloatArray
+    payload_x_m: FloatArray
+    payload_y_m: FloatArray
+    #: shape (n,): wheel loads
+    front_N: FloatArray
+    left_N: FloatArray
+    right_N: FloatArray
+
+    def rows(self) -> list[dict[str, float]]:
+        """Return one row a payload, with the sum of the loads."""
+        columns = {part.name: getattr(self, part.name) for part in fields(self) if part.name != "swept"}
+        columns["total_N"] = self.front_N + self.left_N + self.right_N
+        return rows_of(columns)
+
+
+def sweep_loads(
+    vehicle: Vehicle,
+    payload_kg: float,
+    payload_x_m: float,
+    payload_y_m: float,
+    *,
+    swept: str = "",
+    span: tuple[float, float] = (0.0, 0.0),
+    steps: int = 21,
+) -> LoadSweep:
+    """Return the wheel loads of a payload, or of a sweep of its mass or place; see `LoadSweep`.
+
+    `span`, `steps`: both ends, and how many values. Raises RefusedError for the first payload that cannot be carried.
+    """
+    values = {"payload_kg": payload_kg, "payload_x_m": payload_x_m, "payload_y_m": payload_y_m}
+    if swept and (swept not in SWEPT or not 2 <= steps <= SWEEP_VALUES):
+        expected = f"{', '.join(SWEPT)} in 2 to {SWEEP_VALUES} steps"
+        raise BadInputError(f"sweep: found {swept!r} in {steps} steps; expected {expected}")
+    count = steps if swept else 1
+    columns = {name: np.full(count, value) for name, value in values.items()}
+    if swept:
+        columns[swept] = np.linspace(span[0], span[1], steps)
+    mass, x, y = columns.values()
+    if not np.isfinite([mass, x, y]).all() or (mass < 0.0).any():
+        raise BadInputError("payload: found a value below 0 or not finite; expected a mass from 0 kg and a place in m")
+    loads = np.stack(wheel_loads_N(vehicle, mass, x, y))
+    bad = (loads.min(axis=0) <= 0.0) | (loads.max(axis=0) > vehicle.max_wheel_load_N)
+    if bad.any():
+        k = int(np.argmax(bad))
+        check_wheel_loads(vehicle, *loads[:, k], what=f"payload {mass[k]:g} kg at x {x[k]:g} m, y {y[k]:g} m")
+    return LoadSweep(swept, mass, x, y, *loads)

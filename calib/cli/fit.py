@@ -238,9 +238,9 @@ def loads(
     """
     from dataclasses import asdict
 
-    from calib.odometry.law_journey import sweep_loads, vehicle_of
+    from calib.odometry.law_path import vehicle_of
     from calib.reporting.topics.simulation import loads_content, weighed_content
-    from calib.vehicle import payload_from_wheel_loads
+    from calib.vehicle import payload_from_wheel_loads, sweep_loads
 
     lengths = {"cog_x_m": cog_x, "cog_y_m": cog_y, "track_m": track, "wheelbase_m": wheelbase}
     meant = vehicle_of(vehicle, mass_kg=mass, max_wheel_load_N=max_load, **lengths)

@@ -139,7 +139,8 @@ def journey(
     """
     import numpy as np
 
-    from calib.odometry.law_path import carried_loads_N, law_source, loading_on_the_way
+    from calib.odometry.law_path import law_source
+    from calib.odometry.routes import carried_loads_N, loading_on_the_way
     from calib.odometry.simulation import CUSTOM, LawJourneys, simulate
 
     targets = Targets(output, tum, speed)

@@ -1,10 +1,12 @@
-"""Journeys under a law with loads that change on the way: errors and covariance at each point."""
+"""Journeys under a fitted law, with the radius of one load and with that of the load carried.
+
+Its uncertainty is carried to each point by linear propagation, to the end pose of one load by Monte Carlo too.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Any, Final
@@ -13,47 +15,15 @@ import numpy as np
 
 from calib.errors import BadInputError
 from calib.odometry import poses as posing
-from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, RandomWalk, rows_of
-from calib.odometry.routes import SPACING_M, Route, radii_under_load
+from calib.odometry import routes
+from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, RandomWalk
+from calib.odometry.routes import Axle, Loading, Route, end_of_route, radii_under_load, wheel_travel
 from calib.radius.law import RadiusLaw, half_width
-from calib.types import FloatArray
-from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
+from calib.types import FloatArray, rows_of
+from calib.vehicle import Vehicle
 
+BANDS: Final = ("mean", "prediction")
 NORMAL_95: Final = 1.959963984540054  #: quantile of the normal distribution, 97.5 %
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Loading:
-    """Wheel loads along a route, each from its distance on."""
-
-    from_m: FloatArray  #: shape (n,): distances along the route, rising from 0
-    #: shape (n,): wheel loads
-    left_N: FloatArray
-    right_N: FloatArray
-
-    @staticmethod
-    def from_rows(rows: Sequence[tuple[float, float, float]]) -> Loading:
-        """Return a loading of rows (distance in m, left load in N, right load in N) in any order, one at 0 m."""
-        ordered = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
-        if not len(ordered) or ordered[0, 0] != 0.0 or (np.diff(ordered[:, 0]) <= 0.0).any():
-            raise BadInputError(
-                f"loads along the path: found changes at {', '.join(f'{at:g}' for at in ordered[:, 0])} m; expected "
-                "the first at 0 m and each at a place of its own; give each place once"
-            )
-        if not np.isfinite(ordered).all() or (ordered[:, 1:] <= 0.0).any():
-            text = "found one of 0 N or below, or no number; expected loads above 0 N"
-            raise BadInputError(f"loads along the path: {text}")
-        return Loading(*ordered.T)
-
-    @property
-    def rows(self) -> list[tuple[float, float, float]]:
-        """Distance in m, and left and right load in N from there on."""
-        return list(zip(self.from_m.tolist(), self.left_N.tolist(), self.right_N.tolist(), strict=True))
-
-    def at(self, distance_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the loads (left, right) of pieces that begin at these distances, of their shape."""
-        index = np.maximum(np.searchsorted(self.from_m, distance_m + 1e-9, side="right") - 1, 0)
-        return self.left_N[index], self.right_N[index]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,25 +54,23 @@ def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
     return AxleLaw(file.law, track_m, file.vehicle.track_std.value, walk, file.loaded, notes)
 
 
-def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float) -> tuple[float, float]:
-    """Return the wheel loads (left, right) under a payload; refused where the vehicle cannot carry it."""
-    if payload_kg < 0.0:
-        raise BadInputError(f"payload: found {payload_kg:g} kg; expected a mass from 0 kg; correct it")
-    front, left_N, right_N = wheel_loads_N(vehicle, payload_kg, x_m, y_m)
-    check_wheel_loads(vehicle, front, left_N, right_N, what=f"payload {payload_kg:g} kg at x {x_m:g} m, y {y_m:g} m")
-    return float(left_N), float(right_N)
+def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
+    """Return the vehicle of a campaign, fit or coefficient file (None: the nominal one), with changes."""
+    vehicle = Vehicle()
+    if source is not None:
+        if (source / "campaign.toml").is_file():
+            from calib.campaign.read import read_campaign
 
+            vehicle = read_campaign(source, logs=False).vehicle
+        else:
+            from calib.coefficients.build import coefficients_of
 
-def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> Loading:
-    """Return the loads of payloads that change on the way; unladen before the first.
-
-    `rows`: distance from which on in m, mass in kg, place x and y in m.
-    """
-    if any(row[0] < 0.0 for row in rows):
-        raise BadInputError("payload_at: found a distance below 0 m; expected one along the route; correct it")
-    if min(row[0] for row in rows) > 0.0:
-        rows = [*rows, (0.0, 0.0, 0.0, 0.0)]
-    return Loading.from_rows([(row[0], *carried_loads_N(vehicle, *row[1:4])) for row in rows])
+            vehicle = coefficients_of(source).file.loaded
+    given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
+    for name, value in given.items():
+        if not math.isfinite(value) or (not name.startswith("cog") and value <= 0.0):
+            raise BadInputError(f"{name}: found {value!r}; expected a finite number above 0; correct it")
+    return replace(vehicle, **given)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,7 +184,7 @@ def law_path(
             f"loads along the path: found a change at {loading.from_m[-1]:g} m; expected one before the end of "
             f"{route.name} at {route.total_m:g} m; correct the distance"
         )
-    fine = route.cut(loading.from_m).divided(SPACING_M)
+    fine = route.cut(loading.from_m).divided(routes.SPACING_M)
     distance, reference = fine.distance_m(), fine.poses()
     loads = loading.at(distance[:-1])
     law = axle.radii
@@ -288,3 +256,145 @@ def _frame(heading_rad: FloatArray) -> FloatArray:
 
 def _from_start(values: FloatArray) -> FloatArray:
     return np.concatenate((np.zeros_like(values[:1]), values))
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """95 % interval of one component of the end error."""
+
+    value: float  #: with the law's mean radii
+    linear: tuple[float, float]  #: by linear propagation with Student's t
+    monte_carlo: tuple[float, float]  #: 2.5 and 97.5 % quantiles of the draws
+
+    @staticmethod
+    def of(value: float, half_width: float, drawn: FloatArray) -> Interval:
+        """Return the intervals of a value by its half width and by draws (n,)."""
+        low, high = np.quantile(drawn, [0.025, 0.975])
+        return Interval(value, (value - half_width, value + half_width), (float(low), float(high)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Journey:
+    """End errors of one journey without and with the correction."""
+
+    #: wheel loads carried
+    load_left_N: float
+    load_right_N: float
+    #: wheel loads whose radii the uncorrected odometry uses
+    reference_left_N: float
+    reference_right_N: float
+    band: str  #: ``mean`` or ``prediction``
+    #: error along, lateral, of heading, and global x and y
+    without: dict[str, Interval]
+    corrected: dict[str, Interval]
+    radius_ratio: float  #: e_r that the uncorrected odometry overlooks: real over believed, right over left
+    #: rms distance to the intended end, to first order
+    without_rms_m: float
+    corrected_rms_m: float
+    #: distance that 95 % of the draws stay below
+    without_95_m: float
+    corrected_95_m: float
+    #: of the two root mean squares, with an interval by the fit's degrees of freedom
+    ratio: float
+    ratio_ci95: tuple[float, float]
+    journeys_ratio: tuple[float, float, float]  #: of the distances draw by draw: 2.5, 50 and 97.5 % quantiles
+    draws: int
+
+
+def law_journey(
+    law: RadiusLaw,
+    route: Route,
+    *,
+    loads_N: tuple[float, float],
+    reference_N: tuple[float, float],
+    track_m: float,
+    band: str,
+    draws: int,
+    rng: np.random.Generator,
+) -> Journey:
+    """Simulate a journey under a law, without and with the correction; see `Journey`.
+
+    Wheels fitted apart err independently; radii and track fitted together, as their joint covariance says.
+
+    `loads_N`, `reference_N`: loads (left, right) carried, and those that the uncorrected odometry stands on; `band`:
+    uncertainty of the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not
+    known or `draws` below 100.
+    """
+    if band not in BANDS or draws < 100:
+        raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
+    wheels = (law.left, law.right)
+    mean, reference = ([float(w.radius_m(n)) for w, n in zip(wheels, at, strict=True)] for at in (loads_N, reference_N))
+    root, scale, dof, off = _scatter(law, loads_N, single=band == "prediction", draws=draws, rng=rng)
+    # few degrees of freedom draw lengths that no wheel has, beyond the quantiles reported
+    drawn_m = np.clip(np.array([*mean, track_m])[:, None] + off, routes.SHORTEST_M, routes.LONGEST_M)
+    scattered = Axle(*drawn_m)
+    end = route.poses()[-1]
+    distance, square, intervals = dict[str, FloatArray](), dict[str, FloatArray](), dict[str, dict[str, Interval]]()
+    for name, believed in (("without", reference), ("corrected", mean)):
+        axle, real = Axle(believed[0], believed[1], track_m), Axle(mean[0], mean[1], track_m)
+        errors = posing.pose_errors(end_of_route(route, axle, scattered), end)
+        centre = posing.pose_errors(end_of_route(route, axle, real), end)
+        # shape (5, 2), of each wheel; (5, 1) of what was fitted together
+        slopes = _end_jacobian(route, axle, real, float(end.theta_rad)) @ root
+        if law.joint is not None:
+            slopes = np.linalg.norm(slopes, axis=1, keepdims=True)
+        distance[name] = errors.distance_m
+        # squared distance expected at the fit's scatter, and at each draw's
+        by_wheel = (slopes[3:] ** 2).sum(axis=0)
+        square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ np.column_stack([np.ones(len(dof)), scale]) ** 2
+        intervals[name] = {}
+        for component, scales in zip(COMPONENTS, np.abs(slopes), strict=True):
+            value, drawn = float(getattr(centre, component)[0]), getattr(errors, component)
+            intervals[name][component] = Interval.of(value, half_width(scales, dof), drawn)
+    ratios = np.sqrt(square["without"] / square["corrected"])
+    low, high = np.quantile(ratios[1:], [0.025, 0.975]).tolist()
+    each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975]).tolist()
+    return Journey(
+        load_left_N=loads_N[0],
+        load_right_N=loads_N[1],
+        reference_left_N=reference_N[0],
+        reference_right_N=reference_N[1],
+        band=band,
+        without=intervals["without"],
+        corrected=intervals["corrected"],
+        radius_ratio=mean[1] / reference[1] / (mean[0] / reference[0]),
+        without_rms_m=float(np.sqrt(square["without"][0])),
+        corrected_rms_m=float(np.sqrt(square["corrected"][0])),
+        without_95_m=float(np.quantile(distance["without"], 0.95)),
+        corrected_95_m=float(np.quantile(distance["corrected"], 0.95)),
+        ratio=float(ratios[0]),
+        ratio_ci95=(low, high),
+        journeys_ratio=(each[0], each[1], each[2]),
+        draws=draws,
+    )
+
+
+def _scatter(
+    law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray, list[float], FloatArray]:
+    """Return a root (3, k) of the covariance of radii and track, drawn scales (1 or 2, draws), dof, errors (3, draws).
+
+    Wheels fitted apart have a scale each.
+    """
+    dof = [
+        float(w.dof_of(w.contrast(load), single_run=single))
+        for w, load in zip((law.left, law.right), loads_N, strict=True)
+    ]
+    spread = law.covariance_at(loads_N, single_run=single)
+    root = np.diag(np.sqrt(np.diag(spread)))[:, :2]
+    if law.joint is not None:
+        # one fit, one scale of its covariance
+        dof, (sizes, axes) = [min(dof)], np.linalg.eigh(spread)
+        root = axes * np.sqrt(np.maximum(sizes, 0.0))
+    scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
+    off = root @ (scale * rng.standard_normal((root.shape[1], draws)))
+    return root, scale, dof, off
+
+
+def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
+    left, right, track = wheel_travel(route, believed, real)
+    radii = {"radius_left_m": real.radius_left_m, "radius_right_m": real.radius_right_m}
+    by_radius = posing.jacobian(posing.steps(left[0], right[0], track[0], **radii))[-1][:, [0, 2, 4]]
+    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
+    turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
+    return np.vstack([turned, by_radius[:2]])

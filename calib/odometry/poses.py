@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -121,11 +120,6 @@ def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) 
     if place != 0.0:
         at = at - np.exp(1j * heading) * place
     return np.stack([at.real, at.imag, heading], axis=1)
-
-
-def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:
-    """Return the rows of columns of equal length (n,), each a mapping by name."""
-    return [dict(zip(columns, row, strict=True)) for row in np.stack(list(columns.values()), axis=1).tolist()]
 
 
 FILE_LIMIT_BYTES = 2 << 30

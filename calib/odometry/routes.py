@@ -1,9 +1,9 @@
-"""Routes of straights and arcs, and what wheels travel there, by counts and under loads."""
+"""Routes of straights and arcs, what wheels carry on them, and what they travel, by counts and under loads."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,6 +18,7 @@ from calib.odometry.integrate import end_poses, integrate
 from calib.odometry.poses import Poses, read_tum, sinc
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray, IntArray, floats
+from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
 Segment = tuple[float, float]
 
@@ -307,3 +308,58 @@ def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:
         return np.repeat(radius, np.diff(edges))
     found = f"radii: found {len(radius)} values"
     raise BadInputError(f"{found}; expected one, one a run ({len(edges) - 1}) or one a sample ({n})")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loading:
+    """Wheel loads along a route, each from its distance on."""
+
+    from_m: FloatArray  #: shape (n,): distances along the route, rising from 0
+    #: shape (n,): wheel loads
+    left_N: FloatArray
+    right_N: FloatArray
+
+    @staticmethod
+    def from_rows(rows: Sequence[tuple[float, float, float]]) -> Loading:
+        """Return a loading of rows (distance in m, left load in N, right load in N) in any order, one at 0 m."""
+        ordered = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
+        if not len(ordered) or ordered[0, 0] != 0.0 or (np.diff(ordered[:, 0]) <= 0.0).any():
+            raise BadInputError(
+                f"loads along the path: found changes at {', '.join(f'{at:g}' for at in ordered[:, 0])} m; expected "
+                "the first at 0 m and each at a place of its own; give each place once"
+            )
+        if not np.isfinite(ordered).all() or (ordered[:, 1:] <= 0.0).any():
+            text = "found one of 0 N or below, or no number; expected loads above 0 N"
+            raise BadInputError(f"loads along the path: {text}")
+        return Loading(*ordered.T)
+
+    @property
+    def rows(self) -> list[tuple[float, float, float]]:
+        """Distance in m, and left and right load in N from there on."""
+        return list(zip(self.from_m.tolist(), self.left_N.tolist(), self.right_N.tolist(), strict=True))
+
+    def at(self, distance_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the loads (left, right) of pieces that begin at these distances, of their shape."""
+        index = np.maximum(np.searchsorted(self.from_m, distance_m + 1e-9, side="right") - 1, 0)
+        return self.left_N[index], self.right_N[index]
+
+
+def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float) -> tuple[float, float]:
+    """Return the wheel loads (left, right) under a payload; refused where the vehicle cannot carry it."""
+    if payload_kg < 0.0:
+        raise BadInputError(f"payload: found {payload_kg:g} kg; expected a mass from 0 kg; correct it")
+    front, left_N, right_N = wheel_loads_N(vehicle, payload_kg, x_m, y_m)
+    check_wheel_loads(vehicle, front, left_N, right_N, what=f"payload {payload_kg:g} kg at x {x_m:g} m, y {y_m:g} m")
+    return float(left_N), float(right_N)
+
+
+def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> Loading:
+    """Return the loads of payloads that change on the way; unladen before the first.
+
+    `rows`: distance from which on in m, mass in kg, place x and y in m.
+    """
+    if any(row[0] < 0.0 for row in rows):
+        raise BadInputError("payload_at: found a distance below 0 m; expected one along the route; correct it")
+    if min(row[0] for row in rows) > 0.0:
+        rows = [*rows, (0.0, 0.0, 0.0, 0.0)]
+    return Loading.from_rows([(row[0], *carried_loads_N(vehicle, *row[1:4])) for row in rows])

@@ -14,12 +14,11 @@ from calib.campaign.checks.design import SIDES
 from calib.campaign.checks.measurements import off
 from calib.documents import Result, plain
 from calib.errors import DRAWN_PIECES, DRAWS, SIMULATED_POSES, BadInputError, refuse_more
-from calib.odometry.law_journey import BANDS, Journey, TableRow, law_journey, law_table
-from calib.odometry.law_path import AxleLaw, LawPath, Loading, law_path
-from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors, rows_of
-from calib.odometry.routes import SPACING_M, Axle, Route, find_route, follow
+from calib.odometry.law_path import BANDS, AxleLaw, Journey, LawPath, law_journey, law_path
+from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, pose_errors
+from calib.odometry.routes import SPACING_M, Axle, Loading, Route, find_route, follow
 from calib.radius.law import RadiusLaw, round_loads
-from calib.types import FloatArray
+from calib.types import FloatArray, floats, rows_of
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -212,6 +211,36 @@ EXTREMES: Final = {
 
 #: which error a figure shows
 SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_m", "fig16": "global_x_m"}
+
+
+@dataclass(frozen=True, slots=True)
+class TableRow:
+    """Radii at one load (Table 1), with 95 % half-widths of mean and single run (Fig. 15).
+
+    `extrapolated_left`, `extrapolated_right`: beyond the wheel's law.
+    """
+
+    load_N: float
+    radius_left_m: float
+    radius_right_m: float
+    mean_left_m: float
+    mean_right_m: float
+    prediction_left_m: float
+    prediction_right_m: float
+    extrapolated_left: bool
+    extrapolated_right: bool
+
+
+def law_table(law: RadiusLaw, loads_N: FloatArray) -> tuple[TableRow, ...]:
+    """Return Table 1 for wheel loads (n,)."""
+    loads = floats(loads_N)
+    columns = []
+    for wheel in (law.left, law.right):
+        beyond = (loads < wheel.load_min_N) | (loads > wheel.load_max_N)
+        bands = (wheel.half_width_m(loads, single_run=band == "prediction") for band in BANDS)
+        columns.append([part.tolist() for part in (wheel.radius_m(loads), *bands, beyond)])
+    pairs = [column for pair in zip(*columns, strict=True) for column in pair]
+    return tuple(TableRow(*row) for row in zip(loads.tolist(), *pairs, strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

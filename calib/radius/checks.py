@@ -49,7 +49,7 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
     groups, n = groups_of(session), len(fit.load_N)
     by_session = 2 <= len(groups) < n
     residual = groups.within(fit.residual_m) if by_session else fit.residual_m - fit.residual_m.mean()
-    sessions = np.eye(len(groups))[groups.index] if by_session else np.ones((n, 1))
+    sessions = groups.indicators
     dof = float(n - sessions.shape[1] - (fit.model == "line" and fit.design != "confounded"))
     runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, direction, run_id, sessions)
     checks = [_design(fit, groups), _session(fit, groups), _order(fit)]
@@ -253,10 +253,24 @@ def p_of_t(statistic: float, dof: float) -> float:
     return float(2 * stdtr(dof, -abs(statistic)))
 
 
-def on_one_load(fit: WheelFit) -> str:
+def _on_one_load(fit: WheelFit) -> str:
     """Return what a single load allows."""
     words = f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load only"
     return f"{words}, and no slope; drive two further loads at least."
+
+
+def without_loads(wheel: WheelFit) -> WheelFit:
+    """Return the fit with what its checks say where no load is given."""
+    words = "No run's load is given: add load_left_N and load_right_N to runs.csv."
+
+    def changed(check: Check) -> Check:
+        if check.name == "design":
+            return replace(check, sentence=check.sentence.replace(_on_one_load(wheel), words))
+        if check.name == "scatter" and check.level != OK:
+            return replace(check, level=FAILED, sentence=f"{words} Loads may differ. {check.sentence}")
+        return check
+
+    return replace(wheel, checks=tuple(map(changed, wheel.checks)))
 
 
 def _design(fit: WheelFit, groups: Groups) -> Check:
@@ -267,7 +281,7 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
         level = FAILED
         sentence = f"{blank} runs have no session and count as one: fill in the column session of runs.csv."
     elif fit.model == "constant":
-        few, sentence = "", on_one_load(fit)
+        few, sentence = "", _on_one_load(fit)
     elif len(groups) == 1:
         sentence = ""
     elif len(groups) == len(fit.load_N):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
-from calib.errors import RefusedError
+from calib.errors import BadFileError, RefusedError
 from calib.radius.path_length import correct_paths
+from calib.radius.regression import WheelFit
 from calib.types import FloatArray, StrArray
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
@@ -218,3 +222,165 @@ def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign:
         for name, (distribution, text) in what.items()
         if name != "weave" or left[name].any()
     )
+
+
+#: half width over standard deviation; that of a normal distribution holds 95 %
+_DIVISORS: Final[Mapping[str, float]] = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "normal": 1.96}
+#: fourth moment over the squared variance: the error of a distance is of second order in the angle of the beam
+_KURTOSIS: Final[Mapping[str, float]] = {"rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "normal": 3.0}
+
+
+@dataclass(frozen=True, slots=True)
+class SystematicSource:
+    """A declared part of the uncertainty."""
+
+    #: section and key below ``[uncertainty]``: ``rangefinder``, ``scale``
+    section: str
+    key: str
+    std: float
+    #: ``normal``, ``rectangular`` or ``triangular``
+    distribution: str
+    #: GUM: ``A`` or ``B``
+    kind: str
+    #: infinite for type B
+    dof: float
+
+    @property
+    def name(self) -> str:
+        """Name in the budget."""
+        return f"{self.section}: {self.key.rpartition('_')[0] or self.key}"
+
+    @property
+    def words(self) -> str:
+        """Description with its standard uncertainty."""
+        what, unit, factor = _WORDS[self.section, self.key]
+        return f"{what}, u = {factor * self.std:.2g} {unit}, the same in every run"
+
+
+def _along(wheel: WheelFit, sensitivity: FloatArray) -> FloatArray:
+    mean, x = sensitivity.mean(), wheel.load_N - wheel.law.reference_load_N
+    if wheel.model != "line":
+        return np.array([mean, 0.0])
+    slope = np.sum((x - x.mean()) * sensitivity) / np.sum((x - x.mean()) ** 2)
+    return np.array([mean - slope * x.mean(), slope])
+
+
+_WORDS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {
+    ("rangefinder", "scale"): ("scale of the distance", "ppm", 1e6),
+    ("rangefinder", "offset_m"): ("offset of the distance", "mm", 1e3),
+    ("rangefinder", "beam_rad"): ("angle of the beam to the path", "mrad", 1e3),
+    ("path", "apart_m"): ("by how much the wheels' paths differ", "mm", 1e3),
+    ("weighing", "scale"): ("scale of the wheel load", "%", 1e2),
+    ("weighing", "offset_N"): ("offset of the wheel load", "N", 1.0),
+}
+
+
+def declared_sources(campaign: Campaign) -> tuple[SystematicSource, ...]:
+    """Return the systematic parts that a campaign declares under ``[uncertainty]``.
+
+    Raises BadFileError where a section or key is unknown, or an entry has no size.
+    """
+    declared = campaign.extra.get("uncertainty")
+    if declared is None:
+        return ()
+    where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
+    known = ", ".join(f"{section}.{key}" for section, key in _WORDS)
+    sources = []
+    for section, entries in _mapping(declared, where, "uncertainty").items():
+        for key, entry in _mapping(entries, where, f"uncertainty.{section}").items():
+            if (section, key) not in _WORDS:
+                raise BadFileError(
+                    where, "an unknown key", f"one of {known}", "correct it", column=f"uncertainty.{section}.{key}"
+                )
+            sources.append(_source(section, key, entry, where))
+    return tuple(sources)
+
+
+def _mapping(value: Any, where: Path | str, column: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise BadFileError(where, type(value).__name__, "a section", "see the campaign format", column=column)
+    return value
+
+
+def _source(section: str, key: str, entry: Any, where: Path | str) -> SystematicSource:
+    column = f"uncertainty.{section}.{key}"
+    values = dict(_mapping(entry, where, column))
+    distribution, kind = str(values.pop("distribution", "normal")), str(values.pop("type", "B")).upper()
+    dof = values.pop("dof", math.inf)
+    size, divisor = values.pop("std", None), 1.0
+    if size is None:
+        size, divisor = values.pop("half_width", None), _DIVISORS.get(distribution, math.nan)
+    numbers = all(isinstance(number, int | float) and number > 0 for number in (size, dof))
+    if values or not numbers or math.isinf(size) or distribution not in _DIVISORS or kind not in {"A", "B"}:
+        found = ", ".join(f"{name} = {value!r}" for name, value in entry.items()) or "nothing"
+        expected = f"std or half_width above 0, distribution ({', '.join(_DIVISORS)}), type A or B, and dof"
+        remedy = 'write {std = 1e-4} or {half_width = 1e-4, distribution = "rectangular"}'
+        raise BadFileError(where, column=column, found=found, expected=expected, remedy=remedy)
+    return SystematicSource(section, key, float(size) / divisor, distribution, kind, float(dof))
+
+
+def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[SystematicSource, ...]) -> WheelFit:
+    """Return a wheel's fit with systematic parts in its covariance and intervals.
+
+    The weave by logs is one: its course at start and end, which every run may have alike, hides in the trend.
+    """
+    rows = [_gradient(source, wheel, radii.distance_m) for source in sources]
+    weaves = [getattr(part, f"std_{wheel.wheel}_m") for part in radii.budget if part.name == "weave"]
+    rows += [np.array([_side(wheel) * std, 0.0]) for std in weaves]
+    if not rows:
+        return wheel
+    systematic = np.array(rows)
+    dof = np.array([source.dof for source in sources] + [math.inf] * (len(rows) - len(sources)))
+    return replace(wheel, estimate=replace(wheel.estimate, systematic=systematic, systematic_dof=dof))
+
+
+def systematic_components(
+    wheels: Mapping[str, WheelFit], radii: EffectiveRadii, sources: tuple[SystematicSource, ...]
+) -> tuple[Component, ...]:
+    """Return the budget of a single radius, in the middle of the loads driven."""
+    lines = []
+    for source in sources:
+        sizes = []
+        for wheel in wheels.values():
+            radius, slope = _gradient(source, wheel, radii.distance_m).tolist()
+            middle = float(np.mean(wheel.load_N)) - wheel.law.reference_load_N if wheel.model == "line" else 0.0
+            sizes.append(abs(radius + middle * slope))
+        dof = source.dof if math.isfinite(source.dof) else None
+        lines.append(Component(source.name, source.kind, source.distribution, source.words, sizes[0], sizes[1], dof))
+    return tuple(lines)
+
+
+def _side(wheel: WheelFit) -> float:
+    """Return the sign of what a turn of the path does to a wheel's radius."""
+    return -1.0 if wheel.wheel == "left" else 1.0
+
+
+def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray) -> FloatArray:
+    law, std = wheel.law, source.std
+    match source.section, source.key:
+        case "rangefinder", "scale":
+            return std * _along(wheel, wheel.radius_m)
+        case "rangefinder", "offset_m":
+            return std * _along(wheel, wheel.radius_m / distance_m)
+        case "path", "apart_m":
+            return 0.5 * _side(wheel) * std * _along(wheel, wheel.radius_m / distance_m)
+        case "rangefinder", "beam_rad":
+            # a beam at the angle a measures the distance over cos a: root mean square of a^2 / 2
+            return 0.5 * math.sqrt(_KURTOSIS[source.distribution]) * std**2 * _along(wheel, wheel.radius_m)
+        case "weighing", "scale":
+            return -std * law.slope_m_per_N * np.array([law.reference_load_N, 1.0])
+        case _:
+            return np.array([-std * law.slope_m_per_N, 0.0])
+
+
+def observed_components(radii: EffectiveRadii, left: WheelFit, right: WheelFit) -> tuple[Component, ...]:
+    """Return the type A lines: scatter of the runs beyond the instruments'."""
+    instruments = [float(np.sqrt(np.mean(np.nan_to_num(std) ** 2))) for std in (radii.std_left_m, radii.std_right_m)]
+    scatter = zip((left.run_std_m, right.run_std_m), instruments, strict=True)
+    unexplained = [float(np.sqrt(max(observed**2 - known**2, 0.0))) for observed, known in scatter]
+    what = "scatter of runs within a session beyond the above"
+    lines = [Component("other_run_to_run", "A", "t", what, unexplained[0], unexplained[1], left.estimate.dof_within)]
+    if left.estimate.dof_between > 0:
+        what, std = "scatter of sessions beyond their runs", (left.session_std_m, right.session_std_m)
+        lines.append(Component("session_to_session", "A", "t", what, *std, left.estimate.dof_between))
+    return tuple(lines)

@@ -1,38 +1,47 @@
-"""From a campaign to the laws of both wheels, and the budget of a radius."""
+"""From a campaign to the laws of both wheels, held against instruments, temperature and other readings of the table."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, Final
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
+from scipy.special import chdtrc
 
 from calib.campaign.check import implausible, notes_for_results
-from calib.campaign.checks.design import assumed_settings
+from calib.campaign.checks.design import assumed_settings, listed
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import steered_itself_m
-from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError
-from calib.radius.checks import on_one_load, with_checks
-from calib.radius.effective import Component, EffectiveRadii, effective_radii
-from calib.radius.instrument_checks import (
-    held_against_residuals,
-    with_instrument_checks,
-    with_path_check,
-    with_temperature_check,
-)
-from calib.radius.regression import FAILED, OK, Check, WheelFit, fit_wheel
+from calib.errors import BadInputError, ImplausibleError, RefusedError
+from calib.radius import effective
+from calib.radius.checks import FAIL_BELOW, MAX_CELLS, NOTE_BELOW, UM, p_of_t, tested, with_checks, without_loads
+from calib.radius.effective import EffectiveRadii, effective_radii
+from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, fit_wheel, t_quantile
 from calib.radius.result import PLAUSIBLE, Fit, Setup
-from calib.types import FloatArray, StrArray
+from calib.radius.sessions import groups_of
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 #: largest reference load over the largest driven; further out the line has no digits left
 MAX_REFERENCE_RATIO: Final = 1e4
 #: share of the radius by which load may change it over the measured range, and by which single runs may scatter
 MAX_LOAD_CHANGE: Final = 0.2
 MAX_SCATTER: Final = 0.03
+#: of temperatures, to show in a radius
+MIN_SPAN_K: Final = 1.0
+#: less sessions and both lines, for the scatter about a further slope
+MIN_SLOPE_DOF: Final = 5
+#: lengths nearer than so many times a distance's uncertainty hold that error themselves
+LENGTHS_APART: Final = 30.0
+#: of a radius: the tolerance of 'calib deviation'
+PATH_TOLERANCE: Final = 5e-4
+#: of what runs differ by; a law that leaves more of runs held out takes away less than three quarters of its square
+WORTH_SHARE: Final = 0.5
+#: of reading and fitting in turn, which settle in a few
+ROUNDS: Final = 20
+#: checks that explain the scatter
+EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
 #: columns whose span is reported
 CONDITIONS: Final = (
     "distance_m", "speed_mps", "temperature_C", "payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load",
@@ -53,7 +62,7 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
         checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
         wheels.append(with_instrument_checks(checked, radii.distance_m, std, radii.session))
     wheels = held_against_residuals(radii, wheels)
-    radii = replace(radii, budget=(*radii.budget, *observed_components(radii, *wheels)))
+    radii = replace(radii, budget=(*radii.budget, *effective.observed_components(radii, *wheels)))
     return Fit(name, simulated, wheels[0], wheels[1], radii, notes=radii.notes)
 
 
@@ -70,8 +79,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     findings = [f"{note.where}: {note.text}" for note in implausible(campaign)]
     try:
         radii = effective_radii(campaign)
-        loads = np.append(radii.load_left_N, radii.load_right_N)
-        largest = float(np.max(loads[np.isfinite(loads)], initial=1.0))
+        largest = float(np.max([radii.load_left_N, radii.load_right_N], initial=1.0))
         if reference > MAX_REFERENCE_RATIO * largest:
             expected = f"a load near those driven, up to {largest:g} N"
             raise BadInputError(f"reference load: found {reference:g} N; expected {expected}; correct it")
@@ -80,13 +88,13 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         if findings:
             raise ImplausibleError(campaign.name, findings) from error
         raise
-    sources = declared_sources(campaign)
+    sources = effective.declared_sources(campaign)
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
     nominal = None if "vehicle.wheel_radius_m" in campaign.assumed else campaign.vehicle.wheel_radius_m
     given = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
     wheels = {}
     for name, line in fit.wheels.items():
-        wheel = with_systematic(line if given else _without_loads(line), radii, sources)
+        wheel = effective.with_systematic(line if given else without_loads(line), radii, sources)
         wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal, radii.run_id), *wheel.checks))
         wheel = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
         if not any(source.section == "path" for source in sources) and np.isnan(used.number("ref_theta_rad")).all():
@@ -102,24 +110,11 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         fit,
         left=wheels["left"],
         right=wheels["right"],
-        radii=replace(fit.radii, budget=(*fit.radii.budget, *systematic_components(wheels, radii, sources))),
+        radii=replace(fit.radii, budget=(*fit.radii.budget, *effective.systematic_components(wheels, radii, sources))),
         static=static,
         notes=(*notes_for_results(campaign), *fit.notes, *notes),
         setup=Setup(*stated, conditions, assumed_settings(campaign)),
     )
-
-
-def _without_loads(wheel: WheelFit) -> WheelFit:
-    words = "No run's load is given: add load_left_N and load_right_N to runs.csv."
-
-    def changed(check: Check) -> Check:
-        if check.name == "design":
-            return replace(check, sentence=check.sentence.replace(on_one_load(wheel), words))
-        if check.name == "scatter" and check.level != OK:
-            return replace(check, level=FAILED, sentence=f"{words} Loads may differ. {check.sentence}")
-        return check
-
-    return replace(wheel, checks=tuple(map(changed, wheel.checks)))
 
 
 def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
@@ -173,163 +168,222 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, runs: StrArray, *, 
         )
 
 
-#: half width over standard deviation; that of a normal distribution holds 95 %
-_DIVISORS: Final[Mapping[str, float]] = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "normal": 1.96}
-#: fourth moment over the squared variance: the error of a distance is of second order in the angle of the beam
-_KURTOSIS: Final[Mapping[str, float]] = {"rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "normal": 3.0}
+def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatArray, session: StrArray) -> WheelFit:
+    """Return `fit` with two more checks; `std_m`: of each radius by the instruments; shape (n_runs,) all."""
+    std, fitted = np.nan_to_num(std_m), _fitted(fit, session)
+    checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
+    if not any(check.level == FAILED and check.name in EXPLAINED_BY for check in checks):
+        checks += _scatter(fit, std, session)
+    return replace(fit, checks=tuple(checks))
 
 
-@dataclass(frozen=True, slots=True)
-class SystematicSource:
-    """A declared part of the uncertainty."""
-
-    #: section and key below ``[uncertainty]``: ``rangefinder``, ``scale``
-    section: str
-    key: str
-    std: float
-    #: ``normal``, ``rectangular`` or ``triangular``
-    distribution: str
-    #: GUM: ``A`` or ``B``
-    kind: str
-    #: infinite for type B
-    dof: float
-
-    @property
-    def name(self) -> str:
-        """Name in the budget."""
-        return f"{self.section}: {self.key.rpartition('_')[0] or self.key}"
-
-    @property
-    def words(self) -> str:
-        """Description with its standard uncertainty."""
-        what, unit, factor = _WORDS[self.section, self.key]
-        return f"{what}, u = {factor * self.std:.2g} {unit}, the same in every run"
+def _fitted(fit: WheelFit, session: StrArray, known: BoolArray | slice = slice(None)) -> FloatArray:
+    """Return orthonormal columns (n_known, k) of sessions and load."""
+    base, load = groups_of(session[known]).indicators, fit.load_N[known]
+    if fit.model == "line" and fit.design != "confounded":
+        base = np.column_stack((base, load / load.max()))
+    u, size, _ = np.linalg.svd(base, full_matrices=False)
+    return np.asarray(u[:, size > 1e-10 * size[0]])
 
 
-def _along(wheel: WheelFit, sensitivity: FloatArray) -> FloatArray:
-    mean, x = sensitivity.mean(), wheel.load_N - wheel.law.reference_load_N
-    if wheel.model != "line":
-        return np.array([mean, 0.0])
-    slope = np.sum((x - x.mean()) * sensitivity) / np.sum((x - x.mean()) ** 2)
-    return np.array([mean - slope * x.mean(), slope])
+def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: FloatArray) -> Iterator[Check]:
+    """Look for a constant error of the distances; `reach` (n_runs,): by how much a metre moves a radius."""
+    own, residual = (values - fitted @ (fitted.T @ values) for values in (reach, fit.residual_m))
+    norm, dof, mean = float(own @ own), len(own) - fitted.shape[1] - 1, float(reach.mean())
+    least = LENGTHS_APART * mean * float(np.sqrt(np.mean(std_m**2)) / fit.radius_m.mean())
+    if dof < MIN_SLOPE_DOF or np.std(reach) <= least:
+        return
+    if np.sqrt(norm / len(own)) <= least:
+        hidden = "The lengths of the runs follow loads or sessions, which hides a constant error of the distances; "
+        yield Check("run_length", NOTE, f"{hidden}drive each load over the same lengths.")
+        return
+    offset = float(own @ residual) / norm
+    # HC3, since short runs may scatter more; no less than the instruments
+    slack = np.maximum(1.0 - np.sum(fitted**2, axis=1) - own**2 / norm, 1.0 / len(own))
+    spreads = [np.linalg.norm(own * error) for error in ((residual - offset * own) / slack, std_m)]
+    sd = float(max(spreads)) / norm
+    # few short runs among many tell little of their own scatter
+    carrying = min(float(dof), norm**2 / float(np.sum(own**4)))
+    statistic, half = offset / sd if sd > 0.0 else 0.0, sd * float(t_quantile(carrying))
+    sentences = (
+        "Short and long runs give the same radius.",
+        f"The distances seem to be off by a constant {1e3 * offset:+.3g} mm ({1e3 * (offset - half):+.3g} to "
+        f"{1e3 * (offset + half):+.3g}), and the law by {UM * offset * mean:+.3g} um: short runs give other radii. "
+        "Check the rangefinder's zero, and slip at start and stop; correct distance_m, or drive long runs alone.",
+    )
+    fails = abs(offset * mean) > float(fit.estimate.half_width((1.0, 0.0)))
+    yield tested("run_length", statistic, f"t({carrying:.3g})", p_of_t(statistic, carrying), sentences, fails=fails)
 
 
-_WORDS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {
-    ("rangefinder", "scale"): ("scale of the distance", "ppm", 1e6),
-    ("rangefinder", "offset_m"): ("offset of the distance", "mm", 1e3),
-    ("rangefinder", "beam_rad"): ("angle of the beam to the path", "mrad", 1e3),
-    ("path", "apart_m"): ("by how much the wheels' paths differ", "mm", 1e3),
-    ("weighing", "scale"): ("scale of the wheel load", "%", 1e2),
-    ("weighing", "offset_N"): ("offset of the wheel load", "N", 1.0),
-}
+def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Check]:
+    std_m = np.nan_to_num(std_m)
+    dof = len(std_m) - _fitted(fit, session).shape[1]
+    stated, scatter = float(np.sqrt(np.mean(std_m**2))), fit.run_std_m
+    if dof < MIN_SLOPE_DOF or stated <= 0.0:
+        return
+    ratio, least = scatter / stated, max(PATH_TOLERANCE * float(fit.radius_m.mean()), stated)
+    p_value, level = float(chdtrc(dof, dof * ratio**2)), OK
+    finding = p_value < NOTE_BELOW and scatter**2 > stated**2 + least**2
+    sentence = "Runs scatter no more than a straight path lets them."
+    if finding:
+        level, times = NOTE, f"{ratio:.{0 if ratio >= 10.0 else 1}f} times"
+        sentence = (
+            f"Runs scatter by {UM * scatter:.3g} um, {times} what rangefinder and counters explain: the cause (a "
+            "weave, slip) is not known, and may move the law by as much, which no interval holds; add logs, or "
+            "amplitude_m and wavelength_m."
+        )
+    # what a path may add is no finding, however sure
+    yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
 
 
-def declared_sources(campaign: Campaign) -> tuple[SystematicSource, ...]:
-    """Return the systematic parts that a campaign declares under ``[uncertainty]``.
+def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
+    """Return `fit` with the check whether unmeasured paths are straight on the whole.
 
-    Raises BadFileError where a section or key is unknown, or an entry has no size.
+    `radius_per_bow`: what a bow of all runs moves the radius by; `apart_m`: see `steered_itself_m`.
     """
-    declared = campaign.extra.get("uncertainty")
-    if declared is None:
-        return ()
-    where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
-    known = ", ".join(f"{section}.{key}" for section, key in _WORDS)
-    sources = []
-    for section, entries in _mapping(declared, where, "uncertainty").items():
-        for key, entry in _mapping(entries, where, f"uncertainty.{section}").items():
-            if (section, key) not in _WORDS:
-                raise BadFileError(
-                    where, "an unknown key", f"one of {known}", "correct it", column=f"uncertainty.{section}.{key}"
-                )
-            sources.append(_source(section, key, entry, where))
-    return tuple(sources)
+    moved, level = f"{UM * 0.01 * radius_per_bow:.2g} um", NOTE
+    sentence = (
+        "No run's heading at the end was measured: the paths are taken for straight. A bow of 1 cm, the same in all "
+        f"runs, moves the radius by {moved}, and the other wheel's the other way, which no interval holds; measure "
+        "ref_theta_rad, or declare path.apart_m under [uncertainty]."
+    )
+    if apart_m >= 0.0:
+        level = FAILED
+        sentence = (
+            f"The wheels of all runs rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to have steered "
+            "by its own counts. Then only the mean of both radii is known, what they differ by went into the arc of "
+            "the path; measure ref_theta_rad at the end, or guide the vehicle by a line."
+        )
+    return replace(fit, checks=(*fit.checks, Check("path", level, sentence)))
 
 
-def _mapping(value: Any, where: Path | str, column: str) -> Mapping[str, Any]:
-    if not isinstance(value, Mapping):
-        raise BadFileError(where, type(value).__name__, "a section", "see the campaign format", column=column)
-    return value
+def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
+    """Return `fit` with the check against temperature, where these runs allow one.
 
-
-def _source(section: str, key: str, entry: Any, where: Path | str) -> SystematicSource:
-    column = f"uncertainty.{section}.{key}"
-    values = dict(_mapping(entry, where, column))
-    distribution, kind = str(values.pop("distribution", "normal")), str(values.pop("type", "B")).upper()
-    dof = values.pop("dof", math.inf)
-    size, divisor = values.pop("std", None), 1.0
-    if size is None:
-        size, divisor = values.pop("half_width", None), _DIVISORS.get(distribution, math.nan)
-    numbers = all(isinstance(number, int | float) and number > 0 for number in (size, dof))
-    if values or not numbers or math.isinf(size) or distribution not in _DIVISORS or kind not in {"A", "B"}:
-        found = ", ".join(f"{name} = {value!r}" for name, value in entry.items()) or "nothing"
-        expected = f"std or half_width above 0, distribution ({', '.join(_DIVISORS)}), type A or B, and dof"
-        remedy = 'write {std = 1e-4} or {half_width = 1e-4, distribution = "rectangular"}'
-        raise BadFileError(where, column=column, found=found, expected=expected, remedy=remedy)
-    return SystematicSource(section, key, float(size) / divisor, distribution, kind, float(dof))
-
-
-def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[SystematicSource, ...]) -> WheelFit:
-    """Return a wheel's fit with systematic parts in its covariance and intervals.
-
-    The weave by logs is one: its course at start and end, which every run may have alike, hides in the trend.
+    `temperature_C` (NaN where not read), `session`: shape (n_runs,). Sessions, and what correlates with the load, are
+    taken off both first.
     """
-    rows = [_gradient(source, wheel, radii.distance_m) for source in sources]
-    weaves = [getattr(part, f"std_{wheel.wheel}_m") for part in radii.budget if part.name == "weave"]
-    rows += [np.array([_side(wheel) * std, 0.0]) for std in weaves]
-    if not rows:
-        return wheel
-    systematic = np.array(rows)
-    dof = np.array([source.dof for source in sources] + [math.inf] * (len(rows) - len(sources)))
-    return replace(wheel, estimate=replace(wheel.estimate, systematic=systematic, systematic_dof=dof))
+    known = np.isfinite(temperature_C)
+    if not known.any() or np.ptp(temperature_C[known]) < MIN_SPAN_K:
+        return fit
+    fitted, span = _fitted(fit, session, known), np.ptp(temperature_C[known])
+    columns = (fit.residual_m, temperature_C)
+    residual, warmth = (column[known] - fitted @ (fitted.T @ column[known]) for column in columns)
+    dof, squares = len(residual) - fitted.shape[1] - 1, float(warmth @ warmth)
+    if dof < MIN_SLOPE_DOF or np.sqrt(squares / len(warmth)) < 0.1 * MIN_SPAN_K:
+        return fit
+    slope = float(warmth @ residual) / squares
+    scatter = float(np.sum((residual - slope * warmth) ** 2)) / dof
+    if scatter <= 0:
+        return fit
+    statistic = slope * np.sqrt(squares / scatter)
+    sentences = (
+        "The radius does not follow the temperature.",
+        f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: a law of the load "
+        "alone is off by that on a warmer or colder day; calib diagnose says whether it is the temperature or "
+        "something that correlates with it, and corrects it.",
+    )
+    check = tested("temperature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)
+    return replace(fit, checks=(*fit.checks, check))
 
 
-def systematic_components(
-    wheels: Mapping[str, WheelFit], radii: EffectiveRadii, sources: tuple[SystematicSource, ...]
-) -> tuple[Component, ...]:
-    """Return the budget of a single radius, in the middle of the loads driven."""
-    lines = []
-    for source in sources:
+def held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
+    """Return the wheels' fits, failed where runs scatter beyond instruments and paths and the loads do not say why.
+
+    That is where the law leaves most of what the runs differ by, or another reading of the table leaves far less.
+    """
+    found = [[*_scatter(one, getattr(radii, f"std_{one.wheel}_m"), radii.session)] for one in wheels]
+    if all(check.level == OK for part in found for check in part) or "constant" in {wheel.model for wheel in wheels}:
+        return wheels
+    other, judged = _other_reading(radii), []
+    for wheel, scatter in zip(wheels, found, strict=True):
+        left_m, before_m = _left(wheel, radii)
+        if any(check.level == NOTE for check in scatter) and (other or left_m > WORTH_SHARE * before_m):
+            worst = ", ".join(radii.run_id[np.argsort(-np.abs(wheel.residual_m))][:3])
+            remedy = f"hold loads, counts and distances against the notes of the day, first of {worst}"
+            sentence = (
+                f"the loads do not explain the {wheel.wheel} wheel's radii: the law leaves {UM * left_m:.3g} of "
+                f"{UM * before_m:.3g} um of runs held out, {scatter[0].statistic:.0f} times what instruments explain"
+            )
+            checks = (Check(PLAUSIBLE, FAILED, f"{sentence}; {other or remedy}"), *wheel.checks)
+            wheel = replace(wheel, checks=tuple(check for check in checks if check.name != "scatter"))
+        judged.append(wheel)
+    return judged
+
+
+def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
+    """Return what the law leaves of held-out runs, and what they differ by; within sessions, or all, the better."""
+    pairs = []
+    for means in (np.ones((len(radii), 1)), groups_of(radii.session).indicators):
         sizes = []
-        for wheel in wheels.values():
-            radius, slope = _gradient(source, wheel, radii.distance_m).tolist()
-            middle = float(np.mean(wheel.load_N)) - wheel.law.reference_load_N if wheel.model == "line" else 0.0
-            sizes.append(abs(radius + middle * slope))
-        dof = source.dof if math.isfinite(source.dof) else None
-        lines.append(Component(source.name, source.kind, source.distribution, source.words, sizes[0], sizes[1], dof))
-    return tuple(lines)
+        for columns in (np.column_stack((means, wheel.load_N)), means):
+            basis = np.linalg.qr(columns)[0]
+            slack = np.maximum(1.0 - np.sum(basis**2, axis=1), 1.0 / len(radii))
+            sizes.append(float(np.std((wheel.radius_m - basis @ (basis.T @ wheel.radius_m)) / slack)))
+        pairs.append((sizes[0], sizes[1]))
+    return min(pairs, key=lambda pair: pair[0] / max(pair[1], 1e-300))
 
 
-def _side(wheel: WheelFit) -> float:
-    """Return the sign of what a turn of the path does to a wheel's radius."""
-    return -1.0 if wheel.wheel == "left" else 1.0
+def _other_reading(radii: EffectiveRadii) -> str:
+    """Return the readings of the table that explain both wheels' radii best; empty where chance may be as good.
+
+    Each run is read as stated or otherwise, by the laws of all. Scatter comes that near to another reading with a
+    probability of the ratio of the squares to the power of half their degrees of freedom, times the number of readings
+    tried. A path moves both wheels: one wheel's degrees of freedom count.
+    """
+    loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
+    radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))
+    days, n = groups_of(radii.session).indicators, len(loads)
+    dof = n - days.shape[1] - 1
+    pairs: FloatArray = np.unique(np.round(np.vstack((loads, loads[:, ::-1])), 2), axis=0).astype(np.float64)
+    readings: dict[str, tuple[FloatArray, FloatArray]] = {
+        "the loads of left and right exchanged": (loads[:, ::-1][None], radius),
+        "the counts of left and right exchanged": (loads[None], radius[:, ::-1]),
+        "the loads of the row before": (np.roll(loads, 1, axis=0)[None], radius),
+        "the loads of the row after": (np.roll(loads, -1, axis=0)[None], radius),
+        "loads of other runs": (np.repeat(pairs[:, None], n, axis=1), radius),
+    }
+    stated = _squares(loads[None], radius[None], days, np.zeros(n))[0]
+    found = []
+    for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
+        options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
+        # all of them, or those of a session
+        starts = [np.zeros(n), np.ones(n), *days.T[:MAX_CELLS]]
+        for start in starts if len(other) == 1 else _starts(loads, radius, pairs):
+            square, chosen = _squares(options, measured, days, start)
+            log_p = 0.5 * dof * np.log(max(square, 1e-300) / stated) + n * np.log(len(options))
+            if log_p < np.log(FAIL_BELOW):
+                found.append((log_p, square, f"with {name} in {listed(radii.run_id[chosen > 0])}"))
+    if not found:
+        return ""
+    best, square, _ = min(found)
+    # what is not clearly worse may be it, too
+    alike = dict.fromkeys(words for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best)
+    scatter = UM * np.sqrt(square / (2 * dof))
+    return f"read {', or '.join(alike)}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
 
 
-def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray) -> FloatArray:
-    law, std = wheel.law, source.std
-    match source.section, source.key:
-        case "rangefinder", "scale":
-            return std * _along(wheel, wheel.radius_m)
-        case "rangefinder", "offset_m":
-            return std * _along(wheel, wheel.radius_m / distance_m)
-        case "path", "apart_m":
-            return 0.5 * _side(wheel) * std * _along(wheel, wheel.radius_m / distance_m)
-        case "rangefinder", "beam_rad":
-            # a beam at the angle a measures the distance over cos a: root mean square of a^2 / 2
-            return 0.5 * math.sqrt(_KURTOSIS[source.distribution]) * std**2 * _along(wheel, wheel.radius_m)
-        case "weighing", "scale":
-            return -std * law.slope_m_per_N * np.array([law.reference_load_N, 1.0])
-        case _:
-            return np.array([-std * law.slope_m_per_N, 0.0])
+def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[FloatArray]:
+    """Return each run's option of `pairs`, counted from 1, if radii rise or fall with the loads."""
+    order = np.argsort(loads.sum(axis=1))
+    nearest = 1.0 + np.argmin(np.abs(pairs[:, None] - loads[order]).sum(axis=2), axis=0)
+    rank = np.argsort(np.argsort(radius.sum(axis=1)))
+    return [nearest[rank], nearest[::-1][rank]]
 
 
-def observed_components(radii: EffectiveRadii, left: WheelFit, right: WheelFit) -> tuple[Component, ...]:
-    """Return the type A lines: scatter of the runs beyond the instruments'."""
-    instruments = [float(np.sqrt(np.mean(np.nan_to_num(std) ** 2))) for std in (radii.std_left_m, radii.std_right_m)]
-    scatter = zip((left.run_std_m, right.run_std_m), instruments, strict=True)
-    unexplained = [float(np.sqrt(max(observed**2 - known**2, 0.0))) for observed, known in scatter]
-    what = "scatter of runs within a session beyond the above"
-    lines = [Component("other_run_to_run", "A", "t", what, unexplained[0], unexplained[1], left.estimate.dof_within)]
-    if left.estimate.dof_between > 0:
-        what, std = "scatter of sessions beyond their runs", (left.session_std_m, right.session_std_m)
-        lines.append(Component("session_to_session", "A", "t", what, *std, left.estimate.dof_between))
-    return tuple(lines)
+def _squares(loads: FloatArray, radius: FloatArray, days: FloatArray, start: FloatArray) -> tuple[float, IntArray]:
+    """Return the squares left by both laws and the option of each run, shape (n,), from those at `start`.
+
+    `loads`, `radius`: of each option, shape (n_options, n, 2); `days`: indicators, shape (n, n_sessions).
+    """
+    runs, chosen = np.arange(loads.shape[1]), start.astype(np.int64)
+    for _ in range(ROUNDS):
+        squares = np.zeros(loads.shape[:2])
+        for x, y in zip(np.moveaxis(loads, 2, 0), np.moveaxis(radius, 2, 0), strict=True):
+            columns = np.column_stack((days, x[chosen, runs]))
+            *shifts, slope = np.linalg.lstsq(columns, y[chosen, runs], rcond=None)[0]
+            squares += (y - days @ shifts - slope * x) ** 2
+        before, chosen = chosen, np.argmin(squares, axis=0)
+        if (chosen == before).all():
+            break
+    return float(squares[before, runs].sum()), before

@@ -55,6 +55,12 @@ class Groups:
         """Return the session means of `values`, shape (n_sessions,)."""
         return np.bincount(self.index, weights=values, minlength=len(self)) / self.sizes
 
+    @property
+    def indicators(self) -> FloatArray:
+        """Indicator columns of the sessions; a constant where there is one session or one run a session."""
+        n = len(self.index)
+        return np.eye(len(self))[self.index] if 2 <= len(self) < n else np.ones((n, 1))
+
     def within(self, values: FloatArray) -> FloatArray:
         """Return `values` minus their session's mean, shape (n_runs,)."""
         return np.asarray(values - self.means(values)[self.index])

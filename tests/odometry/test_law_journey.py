@@ -9,10 +9,9 @@ import pytest
 from scipy.stats import t as student
 
 from calib.errors import BadInputError
-from calib.odometry.law_journey import law_journey, law_table
-from calib.odometry.law_path import AxleLaw, Loading, law_path
-from calib.odometry.routes import find_route
-from calib.odometry.simulation import LawJourneys, simulate
+from calib.odometry.law_path import AxleLaw, law_journey, law_path
+from calib.odometry.routes import Loading, find_route
+from calib.odometry.simulation import LawJourneys, law_table, simulate
 from calib.radius.law import LineEstimate, RadiusLaw, WheelLaw
 
 SLOPES = {"growing": (1.4862e-5, 1.2996e-5), "shrinking": (-1.4688e-5, -1.2863e-5)}  # left, right, per newton

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from calib.errors import BadInputError
-from calib.odometry.law_journey import law_journey
-from calib.odometry.law_path import AxleLaw, LawPath, Loading, law_path
+from calib.odometry.law_path import AxleLaw, LawPath, law_journey, law_path
 from calib.odometry.poses import COMPONENTS, RandomWalk, ellipses
-from calib.odometry.routes import NAMED, Route, arc, find_route, straight
+from calib.odometry.routes import NAMED, Loading, Route, arc, find_route, straight
 from calib.radius.law import RadiusLaw, WheelLaw
 
 TRACK_M = 0.7

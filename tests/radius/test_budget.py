@@ -9,7 +9,8 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.errors import CalibError
-from calib.radius.fit import declared_sources, fit_campaign
+from calib.radius.effective import declared_sources
+from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit
 from tests.campaign.making import campaign
 

@@ -10,7 +10,7 @@ from statsmodels.stats.anova import anova_lm
 from statsmodels.stats.outliers_influence import OLSInfluence
 
 from calib.radius.checks import with_checks
-from calib.radius.instrument_checks import with_temperature_check
+from calib.radius.fit import with_temperature_check
 from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, fit_wheel
 
 LOADS = np.array([300.0, 500.0, 700.0, 900.0, 1100.0])

@@ -10,8 +10,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.radius.checks import with_checks
 from calib.radius.deviation import UNKNOWN, judge_runs, radius_error, weave_excess
-from calib.radius.fit import fit_campaign
-from calib.radius.instrument_checks import with_instrument_checks
+from calib.radius.fit import fit_campaign, with_instrument_checks
 from calib.radius.regression import FAILED, NOTE, OK, Check, fit_wheel
 from tests.campaign.faults import steered_by_itself, without_logs
 from tests.campaign.making import campaign, with_numbers

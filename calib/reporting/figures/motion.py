@@ -12,13 +12,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 from matplotlib.ticker import MaxNLocator
 
-from calib.odometry.law_journey import LoadSweep, TableRow
 from calib.odometry.law_path import LawPath
 from calib.odometry.poses import COMPONENTS, ellipses
 from calib.odometry.replay import Replay
-from calib.odometry.simulation import Sweep
+from calib.odometry.simulation import Sweep, TableRow
 from calib.radius.law import WheelLaw
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, round_down, styled
+from calib.vehicle import LoadSweep
 
 Dash = Literal["-", "--", ":"]
 

@@ -16,7 +16,6 @@ from calib.documents import csv_text, plain
 from calib.gap.decision.sentences import SMALLER
 from calib.io import refuse_existing, write_json, write_text
 from calib.odometry.integrate import integrate
-from calib.odometry.law_journey import LoadSweep
 from calib.odometry.law_path import LawPath
 from calib.odometry.poses import Poses, write_tum
 from calib.odometry.replay import Replay, carried_loads_N, stood_in
@@ -25,7 +24,7 @@ from calib.odometry.simulation import SHOWN, LawPart, Simulation, Sweep, paper_h
 from calib.reporting.blocks import Block, Table, Text, caption, catalogue, paragraph, table
 from calib.reporting.formatting import fixed, measured
 from calib.types import FloatArray
-from calib.vehicle import Vehicle, WeighedPayload
+from calib.vehicle import LoadSweep, Vehicle, WeighedPayload
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
