@@ -13,7 +13,6 @@ import numpy as np
 from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.campaign.wheels import SLOWEST_RADPS
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
@@ -36,7 +35,7 @@ from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.inference.recalibration import judge_recalibration
 from calib.gap.localise.locate import locate
 from calib.gap.observations.arrays import Channel, Observations
-from calib.gap.observations.from_campaign import observations_of
+from calib.gap.observations.from_campaign import check_distances, observations_of, with_known_loads
 from calib.gap.plan.identifiability import undetectable
 from calib.gap.plan.planned_runs import joined
 from calib.gap.predict import Path, measured_gap, predict, residuals
@@ -51,8 +50,6 @@ MOST_VARIANCE_FACTOR: Final = 1.5
 NOISE_PASSES: Final = 3
 #: change of a typical noise level that calls for another search: below, the evidence changes by less than its scatter
 NOISE_CHANGE: Final = 1.25
-#: of a millimetre the square is a part in 1e18 of this distance's: double precision ends there
-LONGEST_RUN_M: Final = 1e6
 #: headings that agree with the counts within this share of their standard uncertainty, on so many runs of which one
 #: turns by so much, are the odometry's own: a whole count is some 0.1 mrad, and no instrument meets it to rounding
 COPIED_SHARE: Final = 1e-6
@@ -108,6 +105,7 @@ def diagnose_in_full(
     settings, rng = SearchSettings(), np.random.default_rng(seed)
     declared = campaign.extra.get("effects", ())
     sought, planted = _Sought(model, applied, exclude), observations
+    campaign, unloaded = (campaign, ()) if planted is not None else with_known_loads(campaign)
     situation = sought.situation(campaign) if planted is None else sought.counted(campaign, planted, ())
     if planted is None and (lone := _lone_run(situation)):
         situation = replace(sought.situation(_without(campaign, lone)), omitted=lone)
@@ -142,7 +140,12 @@ def diagnose_in_full(
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
     )
     recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
-    diagnosis = replace(with_left(decide(evidence)), undetectable=undetectable(recalibrated, effects, searched.forms))
+    diagnosis = with_left(decide(evidence))
+    diagnosis = replace(
+        diagnosis,
+        notes=(*unloaded, *diagnosis.notes),
+        undetectable=undetectable(recalibrated, effects, searched.forms),
+    )
     if not plan or not diagnosis.groups:
         return diagnosis
     from calib.gap.plan.next_runs import next_runs
@@ -291,7 +294,7 @@ def _observed(
         observations = as_simulated(observations)
     if blunder := steering_blunder(observations):
         raise BadInputError(f"{campaign.name}: column steer_rad: {blunder}, then diagnose again")
-    _check_distances(campaign, observations)
+    check_distances(campaign, observations)
     if not observations.usable.any():
         raise RefusedError(
             f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
@@ -302,22 +305,6 @@ def _observed(
         return observations, said
     changed, notes = with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
     return changed, (*said, *notes)
-
-
-def _check_distances(campaign: Campaign, observations: Observations) -> None:
-    for travel_m in (observations.travel_left_m, observations.travel_right_m):
-        distances_m = np.bincount(observations.unit, np.abs(travel_m), len(observations))
-        number = int(np.argmax(distances_m))
-        if not distances_m[number] <= LONGEST_RUN_M:
-            raise BadInputError(
-                f"{campaign.name}: run {observations.labels['run_id'][number]}: found counts of a distance of "
-                f"{distances_m[number]:.3g} m; expected {LONGEST_RUN_M:.0e} m at most, beyond which rounding hides "
-                "millimetres; check the counts of this run"
-            )
-    took_s, way_m = observations.duration_s[observations.from_log[observations.unit]].sum(), observations.length_m.sum()
-    if took_s * SLOWEST_RADPS * campaign.vehicle.wheel_radius_m > way_m:
-        found = f"found {took_s:.3g} s for {way_m:.3g} m; expected seconds (are they ms, us or ns?)"
-        raise BadInputError(f"{campaign.name}: column t_s: {found}; convert them, then diagnose again")
 
 
 def _check_copied(campaign: Campaign, nominal: Path) -> None:

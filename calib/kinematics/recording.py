@@ -188,6 +188,12 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     in_map = poses_are_in_a_map(campaign)
     away = in_map and campaign.reference.frame is None and _begins_away(campaign)
     found = [_piece(campaign, row, source, per_rev, in_map, away) for row in range(len(campaign.runs))]
+    if campaign.model.slope_left_m_per_N or campaign.model.slope_right_m_per_N:
+        # a law of the load believes none at its reference load that others are far from
+        carried = [not isinstance(piece, str) and piece.loads is not None for piece in found]
+        if any(carried):
+            why = "no wheel loads, though other runs have them; state them"
+            found = [p if known or isinstance(p, str) else why for p, known in zip(found, carried, strict=True)]
     named = zip(campaign.runs.run_id.tolist(), found, strict=True)
     left_out = tuple((run_id, reason) for run_id, reason in named if isinstance(reason, str))
     pieces = [piece for piece in found if not isinstance(piece, str)]

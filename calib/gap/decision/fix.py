@@ -112,7 +112,8 @@ def doubts(cause: Cause, found: Finding) -> Iterator[str]:
     if cause.effect in found.differing:
         yield found.differing[cause.effect].sentence
     unexplained = found.unexplained if found.leaves_part and cause.share > SMALL_SHARE else None
-    if unexplained is not None and cause.signal < SIGNAL_OVER_UNEXPLAINED * unexplained.signal:
+    shared = unexplained is not None and unexplained.beyond_noise and cause.probability <= EVEN_PROBABILITY
+    if unexplained is not None and (shared or cause.signal < SIGNAL_OVER_UNEXPLAINED * unexplained.signal):
         yield (
             f"{cause.effect} has a signal of {cause.signal:.0f} beside an unexplained residual of "
             f"{unexplained.signal:.0f}, of which it may be a part; add columns of suspected quantities to runs.csv"

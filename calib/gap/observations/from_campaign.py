@@ -9,11 +9,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.checks.design import listed
 from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference
-from calib.campaign.wheels import odometry_source, on_one_axle, without_rear_wheels
-from calib.errors import RefusedError
+from calib.campaign.wheels import SLOWEST_RADPS, odometry_source, on_one_axle, without_rear_wheels
+from calib.errors import BadInputError, RefusedError
 from calib.gap.observations import observation
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.assemble import assemble, filled_loads
@@ -30,6 +31,8 @@ WINDOW_M: Final = 4.0
 WINDOWS_WANTED: Final = 48
 #: shortest window, in tracks
 MIN_WINDOW_TRACKS: Final = 1.5
+#: of a millimetre the square is a part in 1e18 of this distance's: double precision ends there
+LONGEST_RUN_M: Final = 1e6
 #: fewest samples of a window
 MIN_WINDOW_SAMPLES: Final = 4
 
@@ -153,6 +156,42 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
     campaign = replace(campaign, logs=logs)
     per_rad = observation.CountsPerRadian.from_encoder(campaign.encoder)
     return Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
+
+
+def check_distances(campaign: Campaign, observations: Observations) -> None:
+    """Raise BadInputError where runs are longer, or slower, than any vehicle's: units are wrong."""
+    for travel_m in (observations.travel_left_m, observations.travel_right_m):
+        distances_m = np.bincount(observations.unit, np.abs(travel_m), len(observations))
+        number = int(np.argmax(distances_m))
+        if not distances_m[number] <= LONGEST_RUN_M:
+            raise BadInputError(
+                f"{campaign.name}: run {observations.labels['run_id'][number]}: found counts of a distance of "
+                f"{distances_m[number]:.3g} m; expected {LONGEST_RUN_M:.0e} m at most, beyond which rounding hides "
+                "millimetres; check the counts of this run"
+            )
+    took_s, way_m = observations.duration_s[observations.from_log[observations.unit]].sum(), observations.length_m.sum()
+    if took_s * SLOWEST_RADPS * campaign.vehicle.wheel_radius_m > way_m:
+        found = f"found {took_s:.3g} s for {way_m:.3g} m; expected seconds (are they ms, us or ns?)"
+        raise BadInputError(f"{campaign.name}: column t_s: {found}; convert them, then diagnose again")
+
+
+def with_known_loads(campaign: Campaign) -> tuple[Campaign, tuple[str, ...]]:
+    """Return the campaign without runs of unknown load where others' is known, and a note of what was omitted.
+
+    Taken as unladen they would contradict any law of the load.
+    """
+    runs, logs = campaign.runs, campaign.logs
+    known = np.isfinite(runs.number("payload_kg"))
+    known |= np.isfinite(sum(runs.number(name) for name in WHEEL_LOADS))
+    if logs.columns.keys() >= set(WHEEL_LOADS):
+        for run, log in logs.each(1):
+            known[run] |= bool(np.isfinite(sum(log[name] for name in WHEEL_LOADS)).any())
+    lacking = ~known & ~runs.excluded
+    if not lacking.any() or not (known & ~runs.excluded).any() or without_rear_wheels(campaign):
+        return campaign, ()
+    named = f"{lacking.sum()} runs without wheel loads or a payload ({listed(runs.run_id[lacking])})"
+    note = f"{named} are omitted, since others have them; state them, or payload_kg = 0 where unladen"
+    return replace(campaign, runs=replace(runs, excluded=runs.excluded | lacking)), (note,)
 
 
 def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[tuple[FloatArray, FloatArray] | None]:
