@@ -102,10 +102,9 @@ def diagnose_in_full(
     RefusedError
         Where no run has both counts and something measured.
     """
-    settings, rng = SearchSettings(), np.random.default_rng(seed)
-    declared = campaign.extra.get("effects", ())
+    settings, rng, declared = SearchSettings(), np.random.default_rng(seed), campaign.extra.get("effects", ())
     sought, planted = _Sought(model, applied, exclude), observations
-    campaign, unloaded = (campaign, ()) if planted is not None else with_known_loads(campaign)
+    campaign, unloaded = (campaign, "") if planted is not None else with_known_loads(campaign)
     situation = sought.situation(campaign) if planted is None else sought.counted(campaign, planted, ())
     if planted is None and (lone := _lone_run(situation)):
         situation = replace(sought.situation(_without(campaign, lone)), omitted=lone)
@@ -140,12 +139,8 @@ def diagnose_in_full(
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
     )
     recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
-    diagnosis = with_left(decide(evidence))
-    diagnosis = replace(
-        diagnosis,
-        notes=(*unloaded, *diagnosis.notes),
-        undetectable=undetectable(recalibrated, effects, searched.forms),
-    )
+    diagnosis = replace(with_left(decide(evidence)), undetectable=undetectable(recalibrated, effects, searched.forms))
+    diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence}{unloaded}")
     if not plan or not diagnosis.groups:
         return diagnosis
     from calib.gap.plan.next_runs import next_runs

@@ -186,7 +186,7 @@ def _notes(fitted: Fitted, whole: Model, kind: str) -> Iterator[str]:
     if not fitted.solution.converged:
         yield "The search did not settle exactly; the values are good to a small part of their sd."
     if recording.left_out:
-        yield f"Held out: {len(recording.left_out)} runs; the first, {': '.join(recording.left_out[0])}."
+        yield f"Omitted: {len(recording.left_out)} runs; the first, {': '.join(recording.left_out[0])}."
 
 
 @dataclass(frozen=True, slots=True, eq=False)

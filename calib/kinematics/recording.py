@@ -106,9 +106,9 @@ class Recording:
         """Return the recording with whole turns added to end headings, and the few runs that were off.
 
         Headings all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_samples,)), or of a
-        reference followed along the path.
+        reference followed along the path. One that was lost in a turn lacks them by itself: its run is not named.
         """
-        end_pose, turn_rad = self.end_pose.copy(), self._turns_followed(turn_rad)
+        end_pose, (turn_rad, lost) = self.end_pose.copy(), self._turns_followed(turn_rad)
         heading = end_pose[:, 2]
         known = np.isfinite(heading)
         if (np.abs(heading[known]) <= np.pi + 1e-6).all() and (np.abs(turn_rad[known]) > 1.5 * np.pi).any():
@@ -118,17 +118,23 @@ class Recording:
         off &= np.abs(turn_rad) < MOST_TURNS_RAD
         off &= off.mean() <= FEW_OFF
         heading[off] += 2.0 * np.pi * np.rint(turns[off])
-        return replace(self, end_pose=end_pose), self.run_id[off].tolist()
+        return replace(self, end_pose=end_pose), self.run_id[off & ~lost].tolist()
 
-    def _turns_followed(self, turn_rad: FloatArray) -> FloatArray:
-        """Return each run's turn by the reference where it was followed, else by the wheels, shape (n_runs,)."""
-        turned = np.add.reduceat(turn_rad, self.offsets[:-1])
+    def _turns_followed(self, turn_rad: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Return each run's turn by the reference where it was followed, else by the wheels, and whether it was lost.
+
+        Each shape (n_runs,).
+        """
+        turned, lost = np.add.reduceat(turn_rad, self.offsets[:-1]), np.zeros(len(self), np.bool_)
         total = np.cumsum(turn_rad)
         for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
             known = first + np.flatnonzero(np.isfinite(self.reference[2, first:last]))
-            if len(known) >= MANY_POSES and np.abs(np.diff(total[[first, *known, last - 1]])).max() < FOLLOWED_RAD:
+            if len(known) < MANY_POSES:
+                continue
+            lost[run] = np.abs(np.diff(total[[first, *known, last - 1]])).max() >= FOLLOWED_RAD
+            if not lost[run]:
                 turned[run] = self.reference[2, known[-1]] - self.reference[2, known[0]]
-        return turned
+        return turned, lost
 
     def refuse_constant_heading(self, turn_rad: FloatArray) -> None:
         """Raise RefusedError where every heading is the same, although the wheels turn.

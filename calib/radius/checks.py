@@ -25,6 +25,8 @@ MAX_INFLUENCE_SESSIONS: Final = 100
 #: loads of sessions tried as misreported; largest share of the squares that the others then leave
 MAX_CELLS: Final = 200
 MOST_OF_SQUARES: Final = 0.1
+#: share of the direction's squares that the load leaves: below, a variance inflation above ten (Kutner et al., 10.5)
+ALIASED: Final = 0.1
 #: share of the load range by which the reference load may lie outside it
 REFERENCE_MARGIN: Final = 0.02
 #: for which the test approximates its p-value
@@ -47,8 +49,7 @@ class _Residuals:
 def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: StrArray) -> WheelFit:
     """Return `fit` with its checks; the labels are those of its runs, shape (n_runs,)."""
     groups, n = groups_of(session), len(fit.load_N)
-    by_session = 2 <= len(groups) < n
-    residual = groups.within(fit.residual_m) if by_session else fit.residual_m - fit.residual_m.mean()
+    residual = groups.within(fit.residual_m) if 2 <= len(groups) < n else fit.residual_m - fit.residual_m.mean()
     sessions = groups.indicators
     dof = float(n - sessions.shape[1] - (fit.model == "line" and fit.design != "confounded"))
     runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, direction, run_id, sessions)
@@ -205,18 +206,23 @@ def _normality(runs: _Residuals) -> Check | None:
 
 
 def _direction(runs: _Residuals) -> Check | None:
-    out, back = (runs.residual_m[np.char.lower(runs.direction) == sense] for sense in ("out", "back"))
-    dof = runs.dof - 1
-    if len(out) < 3 or len(back) < 3 or dof < 3:
+    side = 1.0 * (np.char.lower(runs.direction) == "out") - (np.char.lower(runs.direction) == "back")
+    known, dof = side != 0.0, runs.dof - 1
+    columns, sessions = np.stack([side, runs.x, runs.residual_m], axis=1)[known], runs.sessions[known]
+    within, load, residual = (columns - sessions @ np.linalg.lstsq(sessions, columns)[0]).T
+    across = within - load * float(load @ within) / max(float(load @ load), 1e-300)
+    squares, loads = float(across @ across), [runs.fit.load_N[sign * side > 0] for sign in (1, -1)]
+    half = float(across @ residual) / max(squares, 1e-300)
+    pooled = float(np.sum((residual - half * across) ** 2)) / max(dof, 1.0)
+    if min(map(len, loads)) < 3 or dof < 3 or pooled <= 0.0 or not within.any():
         return None
-    pooled = float(np.sum((out - out.mean()) ** 2) + np.sum((back - back.mean()) ** 2)) / dof
-    if pooled <= 0:
-        return None
-    difference = float(out.mean() - back.mean())
-    statistic = difference / np.sqrt(pooled * (1 / len(out) + 1 / len(back)))
+    if squares < ALIASED * float(within @ within):
+        of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
+        return Check("direction", FAILED, f"{of} holds what one direction does; drive each load both ways.")
+    statistic = half * np.sqrt(squares / pooled)
     sentences = (
         "Out and back give the same radius.",
-        f"Radii driven out are {UM * difference:+.1f} um from those driven back: a zero error of the rangefinder, "
+        f"Radii driven out are {UM * 2.0 * half:+.1f} um from those driven back: a zero error of the rangefinder, "
         "a sloping floor or drag in one direction; as many runs out as back cancel it, keep it so.",
     )
     return tested("direction", statistic, f"t({dof:.0f})", p_of_t(statistic, dof), sentences)

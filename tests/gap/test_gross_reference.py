@@ -117,8 +117,8 @@ def test_missing_loads_are_not_to_be_corrected_before_what_takes_runs_so_far_off
     """No load makes runs end off by a share of their length that wheels cannot: here each has another run's end."""
     poses = ("ref_x_m", "ref_y_m", "ref_theta_rad")
     yard = struck(project_root, lambda columns: {name: np.roll(columns[name], 3) for name in poses}, every=10)
-    some = np.where(np.arange(len(yard.runs)) < 3, 500.0, np.nan)
-    numbers = yard.runs.numbers | {"payload_kg": some * np.nan, "load_left_N": some, "load_right_N": some}
+    none = np.full(len(yard.runs), np.nan)
+    numbers = yard.runs.numbers | dict.fromkeys(("payload_kg", "load_left_N", "load_right_N"), none)
     verdict = diagnose_in_full(replace(yard, runs=replace(yard.runs, numbers=numbers)), plan=False)
     assert "of their length" in verdict.sentence and any("no wheel load" in note for note in verdict.notes)
     assert "no wheel load" not in verdict.sentence

@@ -13,8 +13,10 @@ from calib.campaign.read import read_campaign
 from calib.campaign.tables import write_campaign
 from calib.errors import RefusedError
 from calib.gap.plan.planned_runs import joined
-from calib.kinematics.drives import NOMINAL_STD
+from calib.kinematics.drives import NOMINAL_STD, nominal_turn
 from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.joint_fit import drive_of
+from calib.kinematics.recording import recording_of
 from calib.reporting.topics.geometry import geometry_sentences
 from tests.kinematics.campaigns import Truth, both_ways, campaign, mixed, tricycle
 
@@ -289,3 +291,35 @@ def test_readings_that_agree_by_chance_leave_the_stated_noise() -> None:
     assert found.noise["reference_xy"] > least_m
     # over squares of 8 m or more
     assert all(each.half_width > 0.05 * least_m / 8.0 * each.value for each in found.estimates)
+
+
+def test_runs_without_the_loads_that_others_have_are_omitted_where_a_law_is_believed() -> None:
+    """At the reference load a law would have them carry what they did not."""
+    truth = Truth(slope_left=2e-6, slope_right=-1e-6)
+    loads = np.tile([[200.0, 250.0], [400.0, 300.0], [600.0, 700.0]], (10, 1))
+    made = campaign(mixed(6), truth, np.random.default_rng(10), loads=loads)
+    numbers = {
+        name: np.where(np.arange(30) % 5 == 0, np.nan, values) if name.startswith("load_") else values
+        for name, values in made.runs.numbers.items()
+    }
+    model = replace(made.model, slope_left_m_per_N=2e-6, slope_right_m_per_N=-1e-6)
+    found = estimate_geometry(replace(made, model=model, runs=replace(made.runs, numbers=numbers)))
+    assert found.n_runs == 24
+    assert any("Omitted: 6 runs" in note and "though other runs have them" in note for note in found.notes)
+
+
+def test_a_heading_lost_in_a_turn_and_found_a_turn_off_is_no_mistyped_one() -> None:
+    """Turns that the reference did not follow are those of the wheels; its run is not named."""
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(11), along=True)
+    columns, first, last = dict(made.logs.columns), *made.logs.offsets[:2].tolist()
+    heading = columns["ref_theta_rad"].copy()
+    quarter = (last - first) // 4
+    heading[first + quarter : first + 3 * quarter] = np.nan
+    heading[first + 3 * quarter : last] += 2.0 * np.pi
+    recording = recording_of(
+        replace(made, logs=replace(made.logs, columns=columns | {"ref_theta_rad": heading})), "rear"
+    )
+    turn = nominal_turn(drive_of(made, "rear", recording), recording.steps)
+    corrected, off = recording.with_whole_turns(turn)
+    assert off == []
+    assert corrected.end_pose[0, 2] == pytest.approx(2.0 * np.pi, abs=0.5)

@@ -72,6 +72,22 @@ def test_a_fault_is_reported_by_its_check(fault: dict[str, float], name: str, le
     assert word in checks[name].sentence
 
 
+@pytest.mark.parametrize("loads", [(300.0, 1100.0), (300.0, 300.0, 300.0, 1000.0, 1000.0, 1100.0)])
+def test_what_one_direction_does_is_in_the_slope_where_one_load_is_driven_each_way(loads: tuple[float, ...]) -> None:
+    """Unladen back, laden out: residuals of the law cannot differ by direction; each load both ways tells."""
+    load, session = np.tile(loads, 60 // len(loads)), np.repeat(["a", "b"], 30)
+    radius = 0.1 - 1.3e-6 * (load - 300.0) + np.random.default_rng(3).normal(0.0, 1e-5, 60)
+    run_id = np.array([f"r{run:02d}" for run in range(60)])
+    fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
+    for direction, level in (
+        (np.where(load > 600.0, "out", "back"), FAILED),
+        (np.resize(["out", "back", "back"], 60), OK),
+    ):
+        (check,) = (one for one in with_checks(fit, session, direction, run_id).checks if one.name == "direction")
+        assert check.level == level
+        assert ("drive each load both ways" in check.sentence) == (level == FAILED)
+
+
 def test_every_check_ends_in_a_sentence() -> None:
     for fault in ({}, {"crossed": False}, {"sessions": 1}, {"bend_m": 1e-4}, {"growth": 8.0}):
         for check in wheel_of(**fault)[0].checks:  # type: ignore[arg-type]

@@ -137,7 +137,7 @@ def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
 
 
 def scatters_alone(evidence: Evidence) -> str:
-    """Return how much runs of which none was driven twice scatter beyond the stated noise; empty if not beyond it.
+    """Return how much runs, too few of them driven twice, scatter beyond the stated noise; empty if not beyond it.
 
     Beyond any level as uncertain as `log_marginal` takes the stated one. Walks of wheels are typical values there, and
     what follows no covariate nor takes runs far off may be all noise.
@@ -147,7 +147,7 @@ def scatters_alone(evidence: Evidence) -> str:
     if evidence.noise.dof > 0.0 or not evidence.noise.supported or shown or square <= most_square(n_rows):
         return ""
     times = sqrt(square / n_rows)
-    return f"nothing: runs of which none was driven twice scatter {times:.2g} times as much as stated and usual"
+    return f"nothing: runs, too few of them driven twice, scatter {times:.2g} times as much as stated and usual"
 
 
 def stands_off(evidence: Evidence) -> bool:

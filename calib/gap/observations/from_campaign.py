@@ -175,8 +175,8 @@ def check_distances(campaign: Campaign, observations: Observations) -> None:
         raise BadInputError(f"{campaign.name}: column t_s: {found}; convert them, then diagnose again")
 
 
-def with_known_loads(campaign: Campaign) -> tuple[Campaign, tuple[str, ...]]:
-    """Return the campaign without runs of unknown load where others' is known, and a note of what was omitted.
+def with_known_loads(campaign: Campaign) -> tuple[Campaign, str]:
+    """Return the campaign without runs of unknown load where others' is known, and a sentence on what was omitted.
 
     Taken as unladen they would contradict any law of the load.
     """
@@ -188,10 +188,10 @@ def with_known_loads(campaign: Campaign) -> tuple[Campaign, tuple[str, ...]]:
             known[run] |= bool(np.isfinite(sum(log[name] for name in WHEEL_LOADS)).any())
     lacking = ~known & ~runs.excluded
     if not lacking.any() or not (known & ~runs.excluded).any() or without_rear_wheels(campaign):
-        return campaign, ()
-    named = f"{lacking.sum()} runs without wheel loads or a payload ({listed(runs.run_id[lacking])})"
-    note = f"{named} are omitted, since others have them; state them, or payload_kg = 0 where unladen"
-    return replace(campaign, runs=replace(runs, excluded=runs.excluded | lacking)), (note,)
+        return campaign, ""
+    named = f" Omitted are {lacking.sum()} runs without wheel loads or a payload ({listed(runs.run_id[lacking])})"
+    said = f"{named}, since others have them: state them, or payload_kg = 0 where unladen."
+    return replace(campaign, runs=replace(runs, excluded=runs.excluded | lacking)), said
 
 
 def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[tuple[FloatArray, FloatArray] | None]:

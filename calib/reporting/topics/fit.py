@@ -381,4 +381,6 @@ _OF_MISSING_RUNS: Final = frozenset({"design", "order"})
 def after_fit(fit: Fit) -> str:
     """Return the step that a fit was: runs are missing only where nothing else fails."""
     failed = {check.name for wheel in fit.wheels.values() for check in wheel.checks if not check.passed}
+    if failed == {"direction"}:
+        return "fit one way"
     return "fit" if not failed else "fit lacks runs" if failed <= _OF_MISSING_RUNS else "fit failed"

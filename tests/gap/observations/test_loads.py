@@ -1,0 +1,43 @@
+"""Runs of unknown load are not taken as unladen where other runs' load is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.gap.diagnose import diagnose_in_full
+from calib.gap.observations.from_campaign import with_known_loads
+from tests.gap.observations.paths import Truth, campaign_of
+
+N_RUNS = 12
+
+
+def runs_of(**numbers: np.ndarray) -> dict:
+    counts = Truth([(40.0, 0.0)]).counts()
+    return {"logs": [counts] * N_RUNS, "numbers": {"distance_m": np.full(N_RUNS, 40.0), **numbers}}
+
+
+HALF = np.where(np.arange(N_RUNS) % 2, np.nan, 100.0)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "n_omitted"),
+    [
+        ({"payload_kg": HALF}, 6),
+        ({"load_left_N": 3.0 * HALF, "load_right_N": 3.0 * HALF}, 6),
+        ({"load_left_N": 3.0 * HALF, "load_right_N": 3.0 * HALF, "payload_kg": np.nan_to_num(HALF)}, 0),
+        ({}, 0),  # no load at all: nothing tells that one matters
+    ],
+)
+def test_runs_whose_load_alone_is_unknown_are_omitted(numbers: dict[str, np.ndarray], n_omitted: int) -> None:
+    given = campaign_of(**runs_of(**numbers))
+    campaign, said = with_known_loads(given)
+    assert campaign.runs.excluded.sum() == n_omitted
+    assert bool(said) == bool(n_omitted)
+    assert not given.runs.excluded.any()
+
+
+def test_a_diagnosis_says_which_it_omitted() -> None:
+    found = diagnose_in_full(campaign_of(**runs_of(payload_kg=HALF)), plan=False)
+    assert len(found.observations) == N_RUNS // 2
+    assert "Omitted are 6 runs without wheel loads or a payload" in found.sentence
