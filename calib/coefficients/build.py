@@ -20,14 +20,7 @@ from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import file as kept
 from calib.coefficients import formats, sections
-from calib.coefficients.file import (
-    CoefficientFile,
-    GeometrySection,
-    Outside,
-    effects_left_out,
-    load_coefficients,
-    sealed,
-)
+from calib.coefficients.file import CoefficientFile, Outside, effects_left_out, load_coefficients, sealed
 from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
 from calib.coefficients.sections import Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleError, RefusedError, refuse_other_than_date
@@ -244,7 +237,7 @@ def geometry_document(geometry: Geometry, campaign: Campaign, accept: str = "") 
 
 def joint_section(
     drive: str, source: str, values: Mapping[str, float], names: Sequence[str], covariance: FloatArray
-) -> GeometrySection:
+) -> kept.GeometrySection:
     """Return the section of parameters estimated together: their values, and the covariance of those of `names`."""
     suffixes = sorted(UNITS, key=len)
     units = {name: [UNITS[suffix] for suffix in suffixes if name.endswith(suffix)][-1] for name in values}
@@ -254,7 +247,7 @@ def joint_section(
         unit = f"({one})^2" if one == other else f"({one})({other})"
         entry = Quantity.of(value=float(covariance[row, column]), unit=unit)
         entries.append(kept.CovarianceEntry.of(first=names[row], second=names[column], covariance=entry))
-    return GeometrySection.of(
+    return kept.GeometrySection.of(
         drive=drive,
         source=source,
         parameters={name: Quantity.of(value=value, unit=units[name]) for name, value in values.items()},
