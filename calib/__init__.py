@@ -29,29 +29,10 @@ if TYPE_CHECKING:
     from calib.odometry.simulation import Simulation
     from calib.radius.result import Fit
 
-
 __all__ = [
-    "Campaign",
-    "Description",
-    "Diagnosis",
-    "Fit",
-    "Geometry",
-    "Plan",
-    "Replay",
-    "Simulation",
-    "__version__",
-    "describe",
-    "diagnose",
-    "export",
-    "fit",
-    "geometry",
-    "ingest",
-    "plan",
-    "read",
-    "replay",
-    "report",
-    "simulate",
-]
+    "Campaign", "Description", "Diagnosis", "Fit", "Geometry", "Plan", "Replay", "Simulation", "__version__",
+    "describe", "diagnose", "export", "fit", "geometry", "ingest", "plan", "read", "replay", "report", "simulate",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

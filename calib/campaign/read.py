@@ -15,8 +15,9 @@ import numpy as np
 
 from calib.campaign.log_reading import read_logs
 from calib.campaign.logs import log_files, rewrap_total
-from calib.campaign.model import SIMULATED_POSE, Border, Campaign, Logs, RunTable
+from calib.campaign.model import REFERENCE_POSE, SIMULATED_POSE, Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, is_bag_folder, read_table
+from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.settings_file import read_settings
 from calib.campaign.tables import run_table
 from calib.campaign.wheels import SPEEDS, WHEEL_COLUMNS, odometry_source, on_one_axle, with_counts, without_rear_wheels
@@ -141,7 +142,7 @@ def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
             numbers[name] = _unwrapped(campaign, name, shown, border)
     if "payload_kg" in numbers:
         how = "computed from the payload by the static wheel loads"
-        for name, load in zip(("load_left_N", "load_right_N"), loads_from_payload(campaign.vehicle, runs), strict=True):
+        for name, load in zip(WHEEL_LOADS, loads_from_payload(campaign.vehicle, runs), strict=True):
             fill(name, load, how, "computed_load")
     return replace(campaign, runs=replace(runs, numbers=numbers))
 
@@ -289,7 +290,7 @@ def poses_are_in_a_map(campaign: Campaign) -> bool:
     reference, logs = campaign.reference, campaign.logs
     if reference.frame is not None:
         return reference.frame == "map"
-    x, y, heading = (logs.columns.get(name) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad"))
+    x, y, heading = (logs.columns.get(name) for name in REFERENCE_POSE)
     if x is None or y is None:
         return False
     far = max(MAP_START_M, MAP_START_SIGMAS * reference.sigma_xy_m)

@@ -20,15 +20,8 @@ from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import file as kept
 from calib.coefficients import formats, sections
-from calib.coefficients.file import (
-    CoefficientFile,
-    GeometrySection,
-    Outside,
-    effects_left_out,
-    load_coefficients,
-    sealed,
-)
-from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, LoadPair, assumed_note
+from calib.coefficients.file import CoefficientFile, Outside, effects_left_out, load_coefficients, sealed
+from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, assumed_note
 from calib.coefficients.sections import Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
@@ -244,7 +237,7 @@ def geometry_document(geometry: Geometry, campaign: Campaign, accept: str = "") 
 
 def joint_section(
     drive: str, source: str, values: Mapping[str, float], names: Sequence[str], covariance: FloatArray
-) -> GeometrySection:
+) -> kept.GeometrySection:
     """Return the section of parameters estimated together: their values, and the covariance of those of `names`."""
     suffixes = sorted(UNITS, key=len)
     units = {name: [UNITS[suffix] for suffix in suffixes if name.endswith(suffix)][-1] for name in values}
@@ -254,7 +247,7 @@ def joint_section(
         unit = f"({one})^2" if one == other else f"({one})({other})"
         entry = Quantity.of(value=float(covariance[row, column]), unit=unit)
         entries.append(kept.CovarianceEntry.of(first=names[row], second=names[column], covariance=entry))
-    return GeometrySection.of(
+    return kept.GeometrySection.of(
         drive=drive,
         source=source,
         parameters={name: Quantity.of(value=value, unit=units[name]) for name, value in values.items()},
@@ -364,24 +357,20 @@ def _is_geometry(path: Path) -> bool:
     return (path / kept.GEOMETRY_FILE).is_file() and not (is_result(path) or (path / "campaign.toml").is_file())
 
 
-def export(
-    file: CoefficientFile, to: str, loads: Sequence[LoadPair] = (), *, options: ExportOptions | None = None
-) -> tuple[Artifact, ...]:
+def export(file: CoefficientFile, to: str, options: ExportOptions = formats.USUAL) -> tuple[Artifact, ...]:
     """Return the files of a coefficient file in another format, of `calib.coefficients.formats.FORMATS`.
 
-    `loads`: for formats of single loads; none: of `options`, else the format's choice. Raises BadInputError for another
-    format, or its option; RefusedError where the format cannot say what the file says.
+    Raises BadInputError for another format, or its option; RefusedError where the format cannot say what the file says.
     """
-    chosen = options or ExportOptions()
     if to not in formats.FORMATS:
         raise BadInputError(f"to: found {to!r}; expected one of {', '.join(formats.FORMATS)}; choose one of them")
-    if to != "ros2" and (chosen.controllers or chosen.open_loop or not chosen.position_feedback):
+    if to != "ros2" and (options.controllers or options.open_loop or not options.position_feedback):
         found = f"controllers, position feedback and open loop: found a choice of them for {to!r}"
         raise BadInputError(f"{found}; expected 'ros2', which alone has them; leave them out")
-    formats.refuse_loads(loads or chosen.loads, to)
+    formats.refuse_loads(options.loads, to)
     if to == "json":
         return (Artifact("coefficients.json", file.to_bytes(), assumed_note(file)),)
-    if (chosen.model is not None or chosen.left or chosen.right) and to not in formats.PATCHING:
+    if (options.model is not None or options.left or options.right) and to not in formats.PATCHING:
         found = f"--into, --left, --right: found them with {to!r}"
         raise BadInputError(f"{found}; expected mjcf, urdf or sdf; leave them out")
     together = file.joint_geometry
@@ -389,10 +378,9 @@ def export(
         wheels = SOURCE_NAMES[together.source]
         found = f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has"
         raise RefusedError(f"{found}; export to ros2 or json")
-    chosen = replace(chosen, loads=tuple(loads) or chosen.loads)
     module, _, function = formats.FORMATS[to].partition(".")
     render = getattr(importlib.import_module(f"{formats.__name__}.{module}"), function)
-    first, *more = render(file, chosen)
+    first, *more = render(file, options)
     notes = effects_left_out(file, f"not in {to}") if to in RADII_ONLY else ()
     notes += assumed_note(file) if to in WITH_NOISE else ()
     return (replace(first, notes=(*first.notes, *notes)), *more)

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.radius.law import LineEstimate
-from calib.radius.sessions import LARGEST, MIN_DOF, PRECISION, WIDENED_BELOW, Strata, line_of_strata
+from calib.radius.sessions import MIN_DOF, WIDENED_BELOW, Strata, line_of_strata, rho_at
 from calib.types import FloatArray, StrArray
 
 WHEELS: Final = ("left", "right")
@@ -239,23 +239,19 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
     std = blocks.std
     if dof < MIN_DOF or float(ndtr((product / dof - blocks.lag_one) / std)) >= WIDENED_BELOW:
         return estimate, 0.0
-    low, high = 0.0, LARGEST
-    while high - low > PRECISION:
-        middle = 0.5 * (low + high)
-        product, square, _ = blocks.expected(middle)
-        low, high = (middle, high) if product / square < blocks.lag_one + std else (low, middle)
-    _, square, squared = blocks.expected(high)
-    of_slope = blocks.loads_ratio(high) * dof / square
+    rho = rho_at(blocks.lag_one + std, lambda rho: np.divide(*blocks.expected(rho)[:2]))
+    _, square, squared = blocks.expected(rho)
+    of_slope = blocks.loads_ratio(rho) * dof / square
     scale = np.full(2, of_slope)
     if not estimate.dof_between > 0:
         n, x = float(sums.runs.n_runs), float(sums.runs.table[:, 1].sum())
-        of_mean = float(2.0 * np.cumsum(high ** np.arange(n)).sum() - n) / n * dof / square
+        of_mean = float(2.0 * np.cumsum(rho ** np.arange(n)).sum() - n) / n * dof / square
         lever = (x / n) ** 2 / (float(sums.runs.table[:, 3].sum()) - x**2 / n)
         scale[0] = (of_slope * lever + of_mean / n) / (lever + 1.0 / n)
     factor = np.sqrt(np.maximum(scale, 1.0))
     cov_within = estimate.cov_within * np.outer(factor, factor)
     dof_within = min(estimate.dof_within, max(square**2 / max(squared, 1.0), 1.0))
-    return replace(estimate, cov_within=cov_within, dof_within=dof_within), high
+    return replace(estimate, cov_within=cov_within, dof_within=dof_within), rho
 
 
 def _blocks_of(estimate: LineEstimate, sums: WheelSums) -> _Blocks | None:

@@ -23,15 +23,7 @@ from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
 from calib.kinematics import drives
 from calib.kinematics.blunders import CLEARLY_LESS
-from calib.kinematics.drives import (
-    GYRO_SCALE,
-    NOMINAL_STD,
-    SENSOR,
-    STEERING_SCALE,
-    STEERING_ZERO,
-    Drive,
-    Parameters,
-)
+from calib.kinematics.drives import GYRO_SCALE, NOMINAL_STD, SENSOR, STEERING_SCALE, STEERING_ZERO, Drive, Parameters
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import DEGREES, Shared, Solution, planned, solve

@@ -8,14 +8,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from calib.campaign.model import Campaign
+from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_TURN, poses_are_in_a_map
+from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
 from calib.kinematics.drives import Steps, moved_between
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, since_start, unwrapped
 
-REFERENCE: Final = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 #: why a run with positions alone may not be used
 POSITION_ALONE: Final = (
     'its reference has positions alone, not from the start pose: nothing says its heading there; state frame = "start" '
@@ -254,7 +254,7 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_ma
     log = campaign.logs.of(row)
     names = WHEEL_COLUMNS[source]
     runs = campaign.runs
-    end = np.array([runs.number(name)[row] for name in REFERENCE])
+    end = np.array([runs.number(name)[row] for name in REFERENCE_POSE])
     if not all(name in log for name in names):
         return _end_counts(campaign, row, source, per_rev, np.full(3, np.nan) if in_map else end)
     steer = log.get("steer_rad") if source in STEERED else None
@@ -266,7 +266,7 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_ma
         return "its log has fewer than two samples with counts"
     counts = counts[:, keep]
     turned = 2.0 * np.pi * np.diff(counts, axis=1, prepend=counts[:, :1]) / per_rev[:, None]
-    reference = np.stack([log.get(name, np.full(len(keep), np.nan)) for name in REFERENCE])
+    reference = np.stack([log.get(name, np.full(len(keep), np.nan)) for name in REFERENCE_POSE])
     reference[2] = unwrapped(reference[2])
     reference = reference[:, keep]
     by_course = _position_alone_in_a_map(campaign, reference, away)
@@ -332,9 +332,8 @@ def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatAr
 
 
 def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolArray) -> FloatArray | None:
-    names = ("load_left_N", "load_right_N")
-    whole = (np.full(len(keep), campaign.runs.number(name)[row]) for name in names)
-    loads = np.stack([log.get(name, load)[keep] for name, load in zip(names, whole, strict=True)])
+    whole = {name: np.full(len(keep), campaign.runs.number(name)[row]) for name in WHEEL_LOADS}
+    loads = np.stack([log.get(name, load)[keep] for name, load in whole.items()])
     return None if np.isnan(loads).any() else loads - campaign.model.reference_load_N
 
 
@@ -342,7 +341,7 @@ def _begins_away(campaign: Campaign) -> bool:
     """Return whether some run begins away from the origin: by chance another of the same map begins near it."""
     logs = campaign.logs
     first = logs.offsets[:-1][np.diff(logs.offsets) > 0]
-    return bool((np.hypot(*(logs.columns[name][first] for name in REFERENCE[:2])) > AT_START_M).any())
+    return bool((np.hypot(*(logs.columns[name][first] for name in REFERENCE_POSE[:2])) > AT_START_M).any())
 
 
 def _position_alone_in_a_map(campaign: Campaign, reference: FloatArray, away: bool) -> bool:

@@ -56,12 +56,6 @@ class Poses:
         parts = (self.x_m, self.y_m, self.theta_rad)
         return Poses(*(np.concatenate((np.zeros_like(part[..., :1]), part), axis=-1) for part in parts))
 
-    def moved(self, by: Poses) -> Poses:
-        """Return the poses, relative to `by`, in the frame of `by` (``by`` o self)."""
-        cosine, sine = np.cos(by.theta_rad), np.sin(by.theta_rad)
-        x_m, y_m = cosine * self.x_m - sine * self.y_m, sine * self.x_m + cosine * self.y_m
-        return Poses(by.x_m + x_m, by.y_m + y_m, by.theta_rad + self.theta_rad)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseErrors:
@@ -291,29 +285,25 @@ def _running(variance: FloatArray, direction: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ellipses:
-    """Error ellipses of positions."""
+    """Error ellipses of positions, which hold 95 %."""
 
     #: shape (...): semi-axes
     major_m: FloatArray
     minor_m: FloatArray
     angle_rad: FloatArray  #: shape (...): direction of the major axis from the x axis, in (-pi/2, pi/2]
-    coverage: float  #: probability of a normal position within
 
 
-def ellipses(covariance: ArrayLike, *, coverage: float = 0.95) -> Ellipses:
-    """Return the error ellipses of pose covariances, shape (..., 3, 3) or (..., 2, 2), x and y in m^2 first.
-
-    A coverage of 0.95 is 2.45 standard deviations in two dimensions.
-    """
+def ellipses(covariance: ArrayLike) -> Ellipses:
+    """Return the error ellipses of pose covariances, shape (..., 3, 3) or (..., 2, 2), x and y in m^2 first."""
     c = floats(covariance)
     mean, half = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])
     spread = np.hypot(half, c[..., 0, 1])
-    k = np.sqrt(-2.0 * np.log1p(-coverage))
+    # 2.45 standard deviations in two dimensions
+    k = np.sqrt(-2.0 * np.log1p(-0.95))
     return Ellipses(
         major_m=np.asarray(k * np.sqrt(np.maximum(mean + spread, 0.0))),
         minor_m=np.asarray(k * np.sqrt(np.maximum(mean - spread, 0.0))),
         angle_rad=np.asarray(0.5 * np.arctan2(c[..., 0, 1], half)),
-        coverage=coverage,
     )
 
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from calib.campaign.model import Campaign
+from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import poses_are_in_a_map
-from calib.campaign.settings import OdometryModel
+from calib.campaign.settings import WHEEL_LOADS, OdometryModel
 from calib.campaign.wheels import ASIDE, STEERED, WHEEL_COLUMNS, odometry_source, on_one_axle, without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import Result, plain
@@ -111,7 +111,7 @@ def replay(
     law, runs, logs = coefficients.law, chosen.runs, chosen.logs
     carried = carried_loads_N(chosen)
     by_geometry = without_rear_wheels(chosen)
-    read = np.stack([runs.number(name) for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")], axis=1)
+    read = np.stack([runs.number(name) for name in REFERENCE_POSE], axis=1)
     reference = Poses.from_stacked(poses_of_vehicle(read, coefficients.sensor(chosen.reference), in_map=False))
     ends, travelled = _driven(chosen, coefficients, carried, scheme)
     errors = {method: pose_errors(end, reference) for method, end in ends.items()}
@@ -177,7 +177,7 @@ def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int
     campaign, notes = with_loads(_with_end_poses(campaign), law)
     runs, logs = campaign.runs, campaign.logs
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
-    posed = np.isfinite(np.stack([runs.number(c) for c in ("ref_x_m", "ref_y_m", "ref_theta_rad")])).all(axis=0)
+    posed = np.isfinite(np.stack([runs.number(c) for c in REFERENCE_POSE])).all(axis=0)
     loaded = np.isfinite(runs.number("load_left_N")) & np.isfinite(runs.number("load_right_N"))
     counted = logs.present.copy()
     for name in (*WHEEL_COLUMNS[source], "t_s", *(["steer_rad"] if source in STEERED else [])):
@@ -197,7 +197,7 @@ def _with_end_poses(campaign: Campaign) -> Campaign:
 
     In a map a row's end pose lacks that at the start, which the log has.
     """
-    columns, offsets, names = campaign.logs.columns, campaign.logs.offsets, ("ref_x_m", "ref_y_m", "ref_theta_rad")
+    columns, offsets, names = campaign.logs.columns, campaign.logs.offsets, REFERENCE_POSE
     ends = np.stack([campaign.runs.number(name) for name in names])
     if poses_are_in_a_map(campaign.included()):
         ends[:] = np.nan
@@ -213,7 +213,7 @@ def _with_end_poses(campaign: Campaign) -> Campaign:
 
 def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str, ...]]:
     """Return the campaign with loads where no run has any: unladen, or the law's centre if that is beyond it."""
-    runs, columns = campaign.runs, ("load_left_N", "load_right_N")
+    runs, columns = campaign.runs, WHEEL_LOADS
     if any(np.isfinite(runs.number(name)).any() for name in columns):
         return campaign, ()
     unladen = wheel_loads_N(campaign.vehicle, 0.0, 0.0, 0.0)[1:]
@@ -229,7 +229,7 @@ def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str,
 
 def carried_loads_N(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     """Return the loads of left and right wheel in each step, (n_samples,); see `loads_in_steps`."""
-    runs, logs, names = campaign.runs, campaign.logs, ("load_left_N", "load_right_N")
+    runs, logs, names = campaign.runs, campaign.logs, WHEEL_LOADS
     left, right = (loads_in_steps(runs.number(name), logs.columns.get(name), logs.offsets) for name in names)
     return left, right
 

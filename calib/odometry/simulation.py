@@ -203,11 +203,7 @@ def paper_headline() -> Improvement:
 CUSTOM: Final = "custom"
 
 #: wheel loads (left, right) of the studies' journeys: 0 the lowest, 1 the highest of Table 1
-EXTREMES: Final = {
-    "symmetric": ((1, 1),),
-    "asymmetric": ((0, 1), (1, 0)),
-    "corrected": ((0, 1), (1, 0), (1, 1)),
-}
+EXTREMES: Final = {"symmetric": ((1, 1),), "asymmetric": ((0, 1), (1, 0)), "corrected": ((0, 1), (1, 0), (1, 1))}
 
 #: which error a figure shows
 SHOWN: Final = {"fig12": "distance_m", "fig13": "lateral_m", "fig14": "global_x_m", "fig16": "global_x_m"}

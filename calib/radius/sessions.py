@@ -13,6 +13,7 @@ correlation matrix are two recursions, linear in runs.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, Final
@@ -289,11 +290,16 @@ def autocorrelation(series: _Series) -> Autocorrelation:
     p_value = float(ndtr((mean - lag_one) / sd))
     if p_value >= WIDENED_BELOW:
         return Autocorrelation(0.0, lag_one, p_value)
+    return Autocorrelation(rho_at(lag_one + sd, series.expected_lag_one), lag_one, p_value)
+
+
+def rho_at(lag_one: float, expected: Callable[[float], float]) -> float:
+    """Return the least autocorrelation, to `PRECISION`, whose expected lag one, which rises with it, is not below."""
     low, high = 0.0, LARGEST
     while high - low > PRECISION:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if series.expected_lag_one(middle) < lag_one + sd else (low, middle)
-    return Autocorrelation(high, lag_one, p_value)
+        low, high = (middle, high) if expected(middle) < lag_one else (low, middle)
+    return high
 
 
 def widened(

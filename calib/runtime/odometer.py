@@ -180,13 +180,7 @@ class Odometer:
         Raises OdometerFault where a load is not finite, or outside the valid range and the file says refuse; samples
         are then refused.
         """
-        self._radii, self._clamped = None, False
-        try:
-            loads = (float(left_N), float(right_N))
-        except (TypeError, ValueError, OverflowError):
-            raise self._refuse_load(Status.BAD_ARGUMENT) from None
-        if not all(map(math.isfinite, loads)):
-            raise self._refuse_load(Status.NOT_FINITE)
+        loads = self._finite(left_N, right_N)
         wheels = (self.coefficients.left, self.coefficients.right)
         used = [min(max(load, w.load_min_N), w.load_max_N) for load, w in zip(loads, wheels, strict=True)]
         self._clamped = tuple(used) != loads
@@ -202,16 +196,10 @@ class Odometer:
 
         Raises OdometerFault also where a wheel would lift or carry too much.
         """
-        self._radii, self._clamped = None, False
-        try:
-            payload = (float(payload_kg), float(payload_x_m), float(payload_y_m))
-        except (TypeError, ValueError, OverflowError):
-            raise self._refuse_load(Status.BAD_ARGUMENT) from None
-        if not all(map(math.isfinite, payload)):
-            raise self._refuse_load(Status.NOT_FINITE)
-        if payload[0] < 0.0:
+        mass, x, y = self._finite(payload_kg, payload_x_m, payload_y_m)
+        if mass < 0.0:
             raise self._refuse_load(Status.BAD_ARGUMENT)
-        loads = self.coefficients.wheel_loads_N(*payload)
+        loads = self.coefficients.wheel_loads_N(mass, x, y)
         if min(loads) <= 0.0:
             raise self._refuse_load(Status.WHEEL_LIFTS)
         if max(loads) > self.coefficients.max_wheel_load_N:
@@ -356,6 +344,17 @@ class Odometer:
         for one, other, value in self.coefficients.cross_covariance:
             entries += [(one, other, value), (other, one, value)]
         return entries
+
+    def _finite(self, *given: float) -> tuple[float, ...]:
+        """Give the loads in force up, and return what is given in their place as finite numbers."""
+        self._radii, self._clamped = None, False
+        try:
+            numbers = tuple(map(float, given))
+        except (TypeError, ValueError, OverflowError):
+            raise self._refuse_load(Status.BAD_ARGUMENT) from None
+        if not all(map(math.isfinite, numbers)):
+            raise self._refuse_load(Status.NOT_FINITE)
+        return numbers
 
     def _refuse_load(self, status: Status) -> OdometerFault:
         self._load_fault = self._status = status

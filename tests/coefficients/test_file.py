@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from calib.campaign.settings import Encoder
 from calib.coefficients.build import Header, export, from_law, load_points
 from calib.coefficients.file import CoefficientFile, load_coefficients
-from calib.coefficients.formats import LoadPair
+from calib.coefficients.formats import ExportOptions, LoadPair
 from calib.coefficients.sections import EffectSection, first_fault
 from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
 from calib.radius.law import LineEstimate, RadiusLaw
@@ -230,4 +230,4 @@ def test_loads_are_refused_where_the_law_itself_is_written(law: RadiusLaw) -> No
     file = from_law(law, Vehicle(), Encoder(), Header("n", False))
     for to in ("json", "c", "c_effects"):
         with pytest.raises(BadInputError, match="leave it out"):
-            export(file, to, [LoadPair(400.0, 400.0)])
+            export(file, to, ExportOptions(loads=(LoadPair(400.0, 400.0),)))

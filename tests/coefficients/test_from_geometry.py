@@ -11,7 +11,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.coefficients.build import export, from_geometry
 from calib.coefficients.file import CoefficientFile, load_coefficients
-from calib.coefficients.formats import LoadPair
+from calib.coefficients.formats import ExportOptions, LoadPair
 from calib.errors import ImplausibleError
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry
@@ -83,7 +83,9 @@ def test_a_file_without_a_joint_geometry_is_as_it_was(file: CoefficientFile) -> 
 def test_ros2_writes_the_calibrated_separation_and_states_where_it_is_nominal(
     made: Campaign, geometry: Geometry, file: CoefficientFile
 ) -> None:
-    text = export(from_geometry(geometry, made), "ros2", [LoadPair(300.0, 300.0)])[0].data.decode()
+    text = export(from_geometry(geometry, made), "ros2", ExportOptions(loads=(LoadPair(300.0, 300.0),)))[
+        0
+    ].data.decode()
     assert f"wheel_separation: {geometry['track_m'].value!r}" in text
     assert "# calibrated" in text
     assert "# NOT calibrated: the nominal track" in export(file, "ros2")[0].data.decode()

@@ -266,10 +266,10 @@ def test_names_and_loads_are_checked(file: CoefficientFile) -> None:
         export(file, "urdf")
     options = ExportOptions(model=model, left="left_joint", right="right_joint")
     with pytest.raises(BadInputError, match="several loads"):
-        export(file, "urdf", [LoadPair(300.0, 300.0), LoadPair(500.0, 500.0)], options=options)
+        export(file, "urdf", replace(options, loads=(LoadPair(300.0, 300.0), LoadPair(500.0, 500.0))))
     with pytest.raises(CalibError, match="<robot>; expected <sdf>"):
         _export(file, "sdf", model, "left_joint", "right_joint")
-    at = export(file, "urdf", [LoadPair(500.0, 700.0)], options=options)[0]
+    at = export(file, "urdf", replace(options, loads=(LoadPair(500.0, 700.0),)))[0]
     assert f'radius="{float(file.radius_m(500.0, 700.0)[1]):.9g}"' in at.data.decode()
     assert sum("follows the load" in note for note in at.notes) == 2
 

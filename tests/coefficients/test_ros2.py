@@ -84,7 +84,7 @@ LOAD = LoadPair(400.0, 800.0)
 
 def parameters(file: CoefficientFile, *pairs: LoadPair, **choices: Any) -> dict[str, dict[str, Any]]:
     """Return the parameters of the first file of an export, by controller."""
-    first = export(file, "ros2", pairs, options=ExportOptions(**choices))[0]
+    first = export(file, "ros2", ExportOptions(loads=pairs, **choices))[0]
     return {root: body["ros__parameters"] for root, body in yaml.safe_load(first.data).items()}
 
 
@@ -177,7 +177,7 @@ def test_an_uncertain_track_shows_in_the_yaw_alone(file: CoefficientFile) -> Non
 
 def test_a_steering_without_calibration_is_stated_as_assumed(file: CoefficientFile) -> None:
     """One degree of steering zero turns a vehicle of one metre wheelbase by one degree a metre."""
-    text = export(file, "ros2", [LOAD])[0].data.decode()
+    text = export(file, "ros2", ExportOptions(loads=(LOAD,)))[0].data.decode()
     assert "assumed, since not calibrated: front_radius_m, wheelbase_m, steering_zero_rad, steering_scale" in text
     yaw = parameters(file, LOAD)["tricycle_steering_controller"]["pose_covariance_diagonal"][5]
     assert yaw > (for_vehicle.PATH_M * math.radians(1.0)) ** 2

@@ -20,13 +20,17 @@ from calib.radius.regression import fit_wheel
 from calib.vehicle import Vehicle
 
 
+def under(*loads: LoadPair) -> ExportOptions:
+    return ExportOptions(loads=loads)
+
+
 def parameters(text: str | bytes) -> dict[str, dict[str, Any]]:
     """Read a ROS 2 parameter file with a YAML library: controller -> its parameters."""
     return {root: body["ros__parameters"] for root, body in yaml.safe_load(text).items()}
 
 
 def test_ros2_parameters_give_back_the_radii_of_their_load(file: CoefficientFile) -> None:
-    made = export(file, "ros2", [LoadPair(300.0, 300.0), LoadPair(500.0, 700.0)])
+    made = export(file, "ros2", under(LoadPair(300.0, 300.0), LoadPair(500.0, 700.0)))
     assert [one.name for one in made] == ["controllers_300N.yaml", "controllers_L500N_R700N.yaml"]
     for one, (left, right) in zip(made, ((300.0, 300.0), (500.0, 700.0)), strict=True):
         found = parameters(one.data)
@@ -49,8 +53,8 @@ def test_without_loads_ros2_makes_a_file_for_each_line_of_the_load_table(file: C
 
 def test_a_load_that_was_not_measured_gets_no_parameters_unless_clamped(file: CoefficientFile) -> None:
     with pytest.raises(RefusedError):
-        export(file, "ros2", [LoadPair(2000.0, 2000.0)])
-    clamped = export(file.changed(outside="clamp"), "ros2", [LoadPair(2000.0, 2000.0)])[0].data.decode()
+        export(file, "ros2", under(LoadPair(2000.0, 2000.0)))
+    clamped = export(file.changed(outside="clamp"), "ros2", under(LoadPair(2000.0, 2000.0)))[0].data.decode()
     assert "CLAMPED" in clamped
 
 
@@ -118,7 +122,7 @@ def test_exported_bands_cover_what_they_say(session_um: float) -> None:
         fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
         made = from_law(RadiusLaw(fit.law, fit.law), Vehicle(), Encoder(4096.0, 4096.0), Header("drawn", True))
         again = CoefficientFile.model_validate_json(made.to_bytes())
-        table = export(again, "csv", [LoadPair(value, value) for value in at])[0].data.decode()
+        table = export(again, "csv", under(*(LoadPair(value, value) for value in at)))[0].data.decode()
         rows = list(csv.DictReader(io.StringIO(table)))
         new = 0.1 + 1e-6 * (rng.normal(0, session_um) + rng.normal(0, 19))
         for number, (truth, band) in enumerate(((0.1, fit.mean_band_m), (new, fit.prediction_band_m))):
@@ -137,7 +141,7 @@ def test_exported_bands_cover_what_they_say(session_um: float) -> None:
 
 def test_a_load_valid_for_no_wheel_gets_no_row(file: CoefficientFile) -> None:
     with pytest.raises(RefusedError):
-        export(file, "csv", [LoadPair(5.0, 5.0)])
+        export(file, "csv", under(LoadPair(5.0, 5.0)))
 
 
 def test_loads_are_given_for_both_wheels_or_for_each() -> None:

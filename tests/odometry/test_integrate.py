@@ -14,6 +14,7 @@ from calib.errors import BadInputError
 from calib.odometry.integrate import SCHEMES, end_poses, integrate
 from calib.odometry.poses import Poses
 from calib.types import FloatArray
+from tests.odometry.frames import moved
 
 ROUNDING_M = 1e-11  # a few hundred additions of numbers of the order of 10 m, in double precision
 TRACK_M = 0.7
@@ -185,7 +186,7 @@ def test_the_exact_arc_does_not_depend_on_the_sampling(path: FloatArray, pieces:
 def test_turning_the_start_turns_the_whole_path() -> None:
     left, right = steps(200)
     start = Poses.from_stacked([3.0, -1.0, 2.0])
-    close(integrate(left, right, TRACK_M).moved(start), integrate(left, right, TRACK_M, start=start.stacked()))
+    close(moved(integrate(left, right, TRACK_M), start), integrate(left, right, TRACK_M, start=start.stacked()))
 
 
 def test_ten_million_steps_of_a_circle_keep_the_heading_and_the_place() -> None:

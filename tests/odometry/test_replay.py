@@ -28,6 +28,7 @@ from calib.odometry.replay import replay
 from calib.odometry.routes import loads_in_steps, travel_from_counts
 from calib.radius.law import RadiusLaw, WheelLaw
 from tests.campaign.making import with_log_columns, with_numbers
+from tests.odometry.frames import moved
 
 POSES = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 LADEN_N = (900.0, 400.0)
@@ -91,10 +92,10 @@ def test_the_frame_and_the_sensors_place_are_taken_out(
     place = Poses.from_stacked([x, y, yaw])
     # in a map each run starts elsewhere; the sensor's own start is zero else
     at = Poses.from_stacked([[3.0 * run, -2.0, 1.0 + run] for run in range(4)])
-    first = place.moved(at) if frame == "map" else Poses.from_stacked(np.zeros((4, 3)))
+    first = moved(place, at) if frame == "map" else Poses.from_stacked(np.zeros((4, 3)))
     c, s = np.cos(yaw), np.sin(yaw)
     back = Poses.from_stacked([-c * x - s * y, s * x - c * y, -yaw])
-    last = place.moved(driven).moved(at if frame == "map" else back)
+    last = moved(moved(place, driven), at if frame == "map" else back)
     columns = {name: np.full(int(logs.offsets[-1]), np.nan) for name in POSES}
     for poses, rows in ((first, logs.offsets[:-1]), (last, logs.offsets[1:] - 1)):
         for name, values in zip(POSES, poses.stacked().T, strict=True):

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign, Note
+from calib.campaign.model import REFERENCE_POSE, Campaign, Note
 from calib.types import FloatArray, IntArray, StrArray
 
 SIDES: Final = ("left", "right")
@@ -133,7 +133,7 @@ def stated(campaign: Campaign, key: str) -> bool:
 #: keys that every radius or path scales with
 WEIGHTY: Final = ("vehicle.track_m", "vehicle.wheel_radius_m", "encoder.counts_per_rev")
 #: section -> columns of the run table or of logs that make its values matter
-_NEEDED_BY: Final = {"rangefinder": ("distance_m",), "reference": ("ref_x_m", "ref_y_m", "ref_theta_rad")}
+_NEEDED_BY: Final = {"rangefinder": ("distance_m",), "reference": REFERENCE_POSE}
 
 
 def assumed_settings(campaign: Campaign) -> dict[str, str]:

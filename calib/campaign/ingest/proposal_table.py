@@ -14,7 +14,7 @@ from calib.campaign.ingest.guesses import direction_of, guessed_table_column, pl
 from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, run_in, run_number, units_for
 from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.readers.sheets import SECTION
-from calib.campaign.settings import bracketed, recognise
+from calib.campaign.settings import WHEEL_LOADS, bracketed, recognise
 from calib.campaign.settings_file import toml_value
 from calib.types import grouped
 from calib.units import SUFFIXES, split_suffix
@@ -38,7 +38,6 @@ def unit_remark(name: str) -> str:
 _LONGEST_M: Final = 3.0
 #: the load of both rear wheels
 _AXLE: Final = "load_axle_N"
-_WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
 #: date and time in a file's name -> how a mapping writes them
 _MOMENTS: Final = (
     (
@@ -63,7 +62,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
     # a date is the session where nothing else is
     passed_over = dates if len(sessions) > len(dates) else []
     targets = _targets(table)
-    if set(_WHEEL_LOADS) & set(targets.values()):
+    if set(WHEEL_LOADS) & set(targets.values()):
         passed_over = [*passed_over, *(column for column in table.columns if targets[column.name] == _AXLE)]
     readings, sided = _reading_lines(table.columns), _sided_lines(table)
     lines += [*readings.values(), *chain.from_iterable(sided.values())]
@@ -83,9 +82,9 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
         if column in passed_over or name is None or name in named or not _may_be(name, column, table.n_rows):
             (unused if column.kind == "number" else texts).append(column.name)
             continue
-        named |= {name, *(_WHEEL_LOADS if name == _AXLE else ())}
+        named |= {name, *(WHEEL_LOADS if name == _AXLE else ())}
         if name == _AXLE:
-            halves = (_column_line(column, wheel, {"factor": 0.5}) for wheel in _WHEEL_LOADS)
+            halves = (_column_line(column, wheel, {"factor": 0.5}) for wheel in WHEEL_LOADS)
             lines += [f"{line}   # half of the axle's" for line in halves]
         elif line := _column_line(column, name):
             lines.append(line)
@@ -107,7 +106,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
 def _targets(table: FileContents) -> dict[str, str | None]:
     targets = {column.name: guessed_table_column(column.name) for column in table.columns}
     known = set(targets.values())
-    if {"payload_kg", "distance_m"} <= known and not set(_WHEEL_LOADS) & known:
+    if {"payload_kg", "distance_m"} <= known and not set(WHEEL_LOADS) & known:
         targets |= {one.name: targets[one.name] or _place(one) for one in table.columns}
     days = table.columns[0].texts if SECTION in targets else ()
     if days and "session" not in known and guessed_table_column(re.sub(r"\W*\d+", "", days[0])) == "session":
@@ -163,7 +162,7 @@ def _sided_lines(table: FileContents) -> dict[str, list[str]]:
 
 def _sheet_lines(sheets: Sequence[str], named: set[str]) -> list[str]:
     free = not {"payload_kg", "load_left_N"} & named
-    for unit, columns in (("kg", ("payload_kg",)), ("N", _WHEEL_LOADS)) if free else ():
+    for unit, columns in (("kg", ("payload_kg",)), ("N", WHEEL_LOADS)) if free else ():
         loads = [guesses.load_of(sheet, unit) for sheet in sheets]
         if None not in loads:
             named |= set(columns)

@@ -101,6 +101,10 @@ class ExportOptions:
     right: str = ""
 
 
+#: of an export of which nothing was chosen
+USUAL: Final = ExportOptions()
+
+
 def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, str]]:
     """Write the files of an export to a file, where there is one and `output` is no folder, else into that folder.
 
