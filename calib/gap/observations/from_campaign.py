@@ -31,6 +31,8 @@ WINDOW_M: Final = 4.0
 WINDOWS_WANTED: Final = 48
 #: shortest window, in tracks
 MIN_WINDOW_TRACKS: Final = 1.5
+#: share of their mean, beyond which loads matter
+LOADS_VARY: Final = 0.05
 #: of a millimetre the square is a part in 1e18 of this distance's: double precision ends there
 LONGEST_RUN_M: Final = 1e6
 #: fewest samples of a window
@@ -176,21 +178,22 @@ def check_distances(campaign: Campaign, observations: Observations) -> None:
 
 
 def with_known_loads(campaign: Campaign) -> tuple[Campaign, str]:
-    """Return the campaign without runs of unknown load where others' is known, and a sentence on what was omitted.
+    """Return the campaign without runs of unknown load where measured ones vary, and a sentence on what was omitted.
 
-    Taken as unladen they would contradict any law of the load.
+    Taken as unladen they would contradict any law of the load. Of payloads alone none stated is none carried.
     """
     runs, logs = campaign.runs, campaign.logs
-    known = np.isfinite(runs.number("payload_kg"))
-    known |= np.isfinite(sum(runs.number(name) for name in WHEEL_LOADS))
-    if logs.columns.keys() >= set(WHEEL_LOADS):
-        for run, log in logs.each(1):
-            known[run] |= bool(np.isfinite(sum(log[name] for name in WHEEL_LOADS)).any())
-    lacking = ~known & ~runs.excluded
-    if not lacking.any() or not (known & ~runs.excluded).any() or without_rear_wheels(campaign):
+    loads_N = runs.number("load_left_N") + runs.number("load_right_N")
+    for run, log in logs.each(1) if logs.columns.keys() >= set(WHEEL_LOADS) else ():
+        if (carried := (log["load_left_N"] + log["load_right_N"])[np.isfinite(log["load_left_N"])]).size:
+            loads_N[run] = carried.mean()
+    used_N = loads_N[np.isfinite(loads_N) & ~runs.excluded]
+    lacking = np.isnan(loads_N) & np.isnan(runs.number("payload_kg")) & ~runs.excluded
+    varied = used_N.size and np.ptp(used_N) > LOADS_VARY * used_N.mean()
+    if not lacking.any() or not varied or without_rear_wheels(campaign):
         return campaign, ""
     named = f" Omitted are {lacking.sum()} runs without wheel loads or a payload ({listed(runs.run_id[lacking])})"
-    said = f"{named}, since others have them: state them, or payload_kg = 0 where unladen."
+    said = f"{named}, since the loads measured vary: state them, or payload_kg = 0 where unladen."
     return replace(campaign, runs=replace(runs, excluded=runs.excluded | lacking)), said
 
 
