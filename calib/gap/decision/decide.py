@@ -206,7 +206,7 @@ def _kind(
         # beyond all the noise is a gap
         if noise_bounded(evidence) and gap_probability >= 1.0 - FALSE_ALARM:
             return VerdictKind.UNKNOWN
-    return kind_of(
+    kind = kind_of(
         gap_probability,
         causes,
         evidence.held_out.closure,
@@ -219,6 +219,9 @@ def _kind(
         supported=evidence.noise.supported,
         misfit=off,
     )
+    # what held-out runs do not confirm is not explained
+    unconfirmed = improvement is not None and improvement.improvement_ci95[0] <= 0.0
+    return VerdictKind.PARTLY_EXPLAINED if unconfirmed and kind is VerdictKind.EXPLAINED else kind
 
 
 def _small(evidence: Evidence, causes: Sequence[Cause], probable: set[str]) -> tuple[str, ...]:

@@ -206,6 +206,17 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
     assert stands_off(evidence) is found  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("low", "kind"), [(-0.1, VerdictKind.PARTLY_EXPLAINED), (0.1, VerdictKind.EXPLAINED)])
+def test_what_held_out_runs_do_not_confirm_is_not_explained(
+    monkeypatch: pytest.MonkeyPatch, low: float, kind: VerdictKind
+) -> None:
+    monkeypatch.setattr(decide, "_misfit", lambda evidence: 0.0)
+    monkeypatch.setattr(decide, "kind_of", lambda *given, **further: VerdictKind.EXPLAINED)
+    held_out = SimpleNamespace(improvement=Improvement(1.22, 1.16, (low, 0.2), (0.0, 1.0)), closure=None)
+    evidence = SimpleNamespace(held_out=held_out, noise=SimpleNamespace(supported=True), trials=())
+    assert decide._kind(evidence, 0.9, [], None, [], {}, doubted=False) is kind  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("times", "dof", "lines", "off", "told"),
     [
