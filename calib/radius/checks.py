@@ -26,7 +26,7 @@ MAX_INFLUENCE_SESSIONS: Final = 100
 MAX_CELLS: Final = 200
 MOST_OF_SQUARES: Final = 0.1
 #: share of the direction's squares that the load leaves: below, a variance inflation above ten (Kutner et al., 10.5)
-ALIASED: Final = 0.1
+ALIASED, ROUNDING = 0.1, 1e-9
 #: share of the load range by which the reference load may lie outside it
 REFERENCE_MARGIN: Final = 0.02
 #: for which the test approximates its p-value
@@ -214,7 +214,7 @@ def _direction(runs: _Residuals) -> Check | None:
     squares, loads = float(across @ across), [runs.fit.load_N[sign * side > 0] for sign in (1, -1)]
     half = float(across @ residual) / max(squares, 1e-300)
     pooled = float(np.sum((residual - half * across) ** 2)) / max(dof, 1.0)
-    if min(map(len, loads)) < 3 or dof < 3 or pooled <= 0.0 or not within.any():
+    if min(map(len, loads)) < 3 or dof < 3 or pooled <= 0.0 or np.ptp(within) < ROUNDING:
         return None
     if squares < ALIASED * float(within @ within):
         of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"

@@ -88,6 +88,17 @@ def test_what_one_direction_does_is_in_the_slope_where_one_load_is_driven_each_w
         assert ("drive each load both ways" in check.sentence) == (level == FAILED)
 
 
+def test_sessions_of_one_direction_each_tell_nothing_of_it() -> None:
+    """What is left of the direction beside the sessions is rounding, and no finding."""
+    session = np.repeat(["a", "b", "c"], [17, 19, 24])
+    direction = np.repeat(["out", "back", "out"], [17, 19, 24])
+    load, run_id = np.resize(LOADS, 60), np.array([f"r{run:02d}" for run in range(60)])
+    for seed in range(20):
+        radius = 0.1 + np.random.default_rng(seed).normal(0.0, 1e-5, 60)
+        fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
+        assert not any(one.name == "direction" for one in with_checks(fit, session, direction, run_id).checks)
+
+
 def test_every_check_ends_in_a_sentence() -> None:
     for fault in ({}, {"crossed": False}, {"sessions": 1}, {"bend_m": 1e-4}, {"growth": 8.0}):
         for check in wheel_of(**fault)[0].checks:  # type: ignore[arg-type]
