@@ -147,7 +147,7 @@ def scatters_alone(evidence: Evidence) -> str:
     if evidence.noise.dof > 0.0 or not evidence.noise.supported or shown or square <= most_square(n_rows):
         return ""
     times = sqrt(square / n_rows)
-    return f"nothing: runs, too few of them driven twice, scatter {times:.2g} times as much as stated and usual"
+    return f"nothing: runs, too few of them driven twice, scatter {times:.2g} times as much as the stated sigmas"
 
 
 def stands_off(evidence: Evidence) -> bool:
