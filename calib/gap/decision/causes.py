@@ -1,7 +1,4 @@
-"""The named causes with their sizes and shares, and the unexplained residual beside them.
-
-A cause has one size; an imitation differs between groups of runs.
-"""
+"""The named causes with their sizes and shares, and the unexplained residual beside them."""
 
 from __future__ import annotations
 
@@ -12,21 +9,20 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.between_sessions import FALSE_REJECTION, SessionScatter, beside_named_steps, session_scatter
+from calib.gap.decision.constancy import SessionScatter, SizeDifference, beside_named_steps, session_scatter
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
 from calib.gap.decision.kind import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
-from calib.gap.decision.trials import groupings, most_square
+from calib.gap.decision.trials import most_square
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder
 from calib.gap.effects.quantities import session_steps
 from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.effects.reference import TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, undetermined
-from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.observations.arrays import Channel
-from calib.types import FloatArray, StrArray
+from calib.types import FloatArray
 
 #: causes are ordered by these classes of probability, then by signal: finer differences are chance
 PROBABILITY_CLASSES: Final = (0.3, 0.6, 0.8)
@@ -39,12 +35,6 @@ LOCATED_SD: Final = 4.0
 #: places and covariates named of it
 MOST_PLACES: Final = 3
 MOST_COVARIATES: Final = 2
-#: least whitened square of a cause on a group: two standard deviations, else its size there is unknown
-LEAST_SQUARE: Final = 4.0
-#: spread of one size over groups: sizes a tenth apart leave a hundredth of the squares
-SAME_SIZE_SD: Final = 0.05
-#: prior precision of a size's difference between groups: a hundred times the size, left to the data
-DIFFERENCE_PRECISION: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -295,28 +285,6 @@ def _places(evidence: Evidence) -> tuple[str, ...]:
     return tuple(dict.fromkeys(places))
 
 
-@dataclass(frozen=True, slots=True)
-class SizeDifference:
-    """A cause whose size differs between groups of runs beyond noise and deviations of its form."""
-
-    effect: str  #: id of the effect
-    by: str  #: what the runs are grouped by: ``kind``, ``speed``, ``load``, ``balance``, ``direction``, ``session``
-    value: str  #: the group that differs most significantly
-    reference: str  #: the group that determines the size best
-    ratio: float  #: size on the one over the size on the other
-    ratio_sd: float  #: standard uncertainty of the ratio
-    p_value: float  #: of equal sizes on all groups, corrected for the number of tests
-
-    @property
-    def sentence(self) -> str:
-        """What differs, with figures and what to do."""
-        return (
-            f"the size of {self.effect} differs by {self.by}: on {self.value} it is {self.ratio:.2g} +- "
-            f"{2.0 * self.ratio_sd:.1g} times that on {self.reference} (p = {self.p_value:.1g}): another effect "
-            "may act instead; 'calib plan' names the runs that tell"
-        )
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
     """What is named, how sure, and what stands beside it."""
@@ -338,62 +306,3 @@ class Finding:
     def leaves_part(self) -> bool:
         """Whether more than a small share is unexplained."""
         return self.unexplained is not None and self.unexplained.share > SMALL_SHARE
-
-
-def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, SizeDifference]:
-    """Return, by effect, those whose sizes differ between groups of runs.
-
-    A cause's contribution is given a further factor on each group, beside recalibration and fitted effects (a test of
-    parameter constancy: Chow, Econometrica 28, 1960). The covariance holds the lack of fit and deviations from the
-    form. The statistic follows F; levels are divided by the number of tests.
-    """
-    fit = HeldOutFit(evidence.fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
-    # what differs by session has no common size
-    names = {name for name in effects if not evidence.effects[name].per_session}
-    groups = groupings(evidence.observations, by_balance=True)
-    tested = [
-        difference
-        for effect, contribution in _contributions(evidence, fit, names).items()
-        for by, labels in groups.items()
-        if (difference := _difference(fit, effect, contribution, by, labels)) is not None
-    ]
-    differing: dict[str, SizeDifference] = {}
-    for difference in sorted(tested, key=lambda each: each.p_value):
-        if (p_value := len(tested) * difference.p_value) < FALSE_REJECTION:
-            differing.setdefault(difference.effect, replace(difference, p_value=p_value))
-    return differing
-
-
-def _contributions(evidence: Evidence, fit: HeldOutFit, names: Collection[str]) -> dict[str, FloatArray]:
-    contributions, first = {}, 4
-    for form, theta in zip(evidence.fitted.forms, evidence.fitted.theta, strict=True):
-        contributions[form.effect] = fit.columns[:, first : first + len(theta)] @ (theta / form.typical)
-        first += len(theta)
-    per_unit = fit.weighting.system.calibration / CALIBRATION_SD
-    for number, name in enumerate(NAMES):
-        if name in evidence.calibration:
-            contributions[name] = per_unit @ DIRECTIONS[number] * evidence.recalibration.values[number]
-    return {name: contribution for name, contribution in contributions.items() if name in names}
-
-
-def _difference(
-    fit: HeldOutFit, effect: str, contribution: FloatArray, by: str, labels: StrArray
-) -> SizeDifference | None:
-    from scipy.special import fdtrc
-
-    on_rows = labels[fit.weighting.system.blocks.unit]
-    squares = {str(value): float((contribution[on_rows == value] ** 2).sum()) for value in np.unique(labels)}
-    reference, *others = sorted((v for v in squares if squares[v] > LEAST_SQUARE), key=lambda v: -squares[v]) or [""]
-    if not others:
-        return None
-    further = np.column_stack([np.where(on_rows == value, contribution, 0.0) for value in others])
-    precision = np.concatenate([fit.precision, np.full(len(others), DIFFERENCE_PRECISION)])
-    estimates, covariance = fit.weighting.solve(np.concatenate([fit.columns, further], axis=1), precision)
-    change, covariance = estimates[-len(others) :], covariance[-len(others) :, -len(others) :]
-    sd = np.sqrt(np.diag(covariance))
-    covariance = covariance + SAME_SIZE_SD**2 * (np.eye(len(others)) + 1.0)
-    largest = int(np.argmax(np.abs(change) / sd))
-    statistic = float(change @ np.linalg.solve(covariance, change)) / len(others)
-    p_value = float(fdtrc(len(others), max(fit.noise.dof, 3.0), statistic))
-    ratio = 1.0 + float(change[largest])
-    return SizeDifference(effect, by, others[largest], reference, ratio, float(sd[largest]), p_value)

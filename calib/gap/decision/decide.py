@@ -12,7 +12,7 @@ import numpy as np
 from calib.campaign.check import implausible, notes_for_results
 from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
-from calib.gap.decision.between_sessions import without_refuted
+from calib.gap.decision.constancy import SizeDifference, size_differences, without_refuted
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, without_length
 from calib.gap.decision.kind import (
@@ -51,7 +51,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     stated = confounding.effect_probabilities(evidence, confounded)
     certain = confounding.with_alternatives(evidence, confounded)
     probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
-    differing = naming.size_differences(evidence, probable)
+    differing = size_differences(evidence, probable)
     causes = naming.limited_beside(unexplained, naming.causes_of(evidence, stated, certain, forms_open))
     # no reading decides between causes of what went together
     causes = naming.limited_to_even(causes, {group[0] for group in groups if parting(group)}.union(differing))
@@ -192,7 +192,7 @@ def _kind(
     causes: Sequence[Cause],
     unexplained_share: float | None,
     groups: Sequence[Sequence[str]],
-    differing: Mapping[str, naming.SizeDifference],
+    differing: Mapping[str, SizeDifference],
     doubted: bool,
 ) -> VerdictKind:
     large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}

@@ -8,8 +8,8 @@ from math import inf, prod, sqrt
 from typing import Final
 
 from calib.gap.decision import confounding
-from calib.gap.decision.between_sessions import SET_WITH_SESSIONS
 from calib.gap.decision.causes import Finding
+from calib.gap.decision.constancy import SET_WITH_SESSIONS
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
 from calib.gap.decision.kind import HALF_CLOSURE, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree, fails

@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.gap.decision import between_sessions
-from calib.gap.decision.between_sessions import SessionScatter, variance_component
+from calib.gap.decision import constancy
+from calib.gap.decision.constancy import SessionScatter, variance_component
 from calib.gap.decision.held_out import Improvement
 from calib.gap.effects.load import LoadRadius
 from calib.gap.effects.radii import SessionStep, TemperatureRadius
@@ -92,10 +92,10 @@ def test_steps_are_no_alternative_to_what_predicts_the_held_out_sessions(
         noise=None,
         search=SimpleNamespace(weighting=None),
     )
-    monkeypatch.setattr(between_sessions, "fit", lambda *_, **__: evidence.fitted)
-    monkeypatch.setattr(between_sessions, "HeldOutFit", lambda *_: None)
-    monkeypatch.setattr(between_sessions, "left_with_others", lambda *_, **__: (np.ones(1), by))
+    monkeypatch.setattr(constancy, "fit", lambda *_, **__: evidence.fitted)
+    monkeypatch.setattr(constancy, "HeldOutFit", lambda *_: None)
+    monkeypatch.setattr(constancy, "left_with_others", lambda *_, **__: (np.ones(1), by))
     without = replace(whole, closed_ci95=(closed, 1.2))
-    monkeypatch.setattr(between_sessions, "improvement_of", lambda *_, **__: without)
-    groups = between_sessions.without_refuted(evidence, [[effect, "session_step", "track_width"]])  # type: ignore[arg-type]
+    monkeypatch.setattr(constancy, "improvement_of", lambda *_, **__: without)
+    groups = constancy.without_refuted(evidence, [[effect, "session_step", "track_width"]])  # type: ignore[arg-type]
     assert groups == [[effect, "track_width"] if refuted else [effect, "session_step", "track_width"]]

@@ -15,9 +15,15 @@ from scipy import stats
 from calib.campaign.model import Campaign
 from calib.challenge.cases import campaigns_of, truth_of
 from calib.challenge.seal import Seeds, read_seeds, recipes
-from calib.gap.decision import causes
-from calib.gap.decision.between_sessions import beside_named_steps, half_of_mean
-from calib.gap.decision.causes import SAME_SIZE_SD, SizeDifference, _difference, size_differences
+from calib.gap.decision import constancy
+from calib.gap.decision.constancy import (
+    SAME_SIZE_SD,
+    SizeDifference,
+    _difference,
+    beside_named_steps,
+    half_of_mean,
+    size_differences,
+)
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity
 from calib.gap.diagnose import diagnose_in_full
 
@@ -105,14 +111,19 @@ def test_equal_sizes_are_rejected_as_rarely_as_stated() -> None:
 def test_the_p_value_that_is_said_counts_all_tests_of_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
     """One in twenty campaigns doubts a cause by chance, however many groupings are tried."""
     found = SizeDifference("wear", "speed", "a", "b", 2.0, 0.1, 0.01)
-    for name, value in (("HeldOutFit", None), ("_contributions", {"wear": None}), ("_difference", found)):
-        monkeypatch.setattr(causes, name, lambda *_, value=value: value)
+    for name, value in (
+        ("HeldOutFit", None),
+        ("_contributions", {"wear": None}),
+        ("_difference", found),
+        ("_beside", ()),
+    ):
+        monkeypatch.setattr(constancy, name, lambda *_, value=value: value)
     evidence = SimpleNamespace(
         effects={"wear": SimpleNamespace(per_session=False)}, search=SimpleNamespace(weighting=0)
     )
     evidence.fitted = evidence.nominal = evidence.noise = evidence.observations = None
     for tests, p_value in ((4, 0.04), (5, None)):
-        monkeypatch.setattr(causes, "groupings", lambda *_, tests=tests, **__: dict.fromkeys(range(tests)))
+        monkeypatch.setattr(constancy, "groupings", lambda *_, tests=tests, **__: dict.fromkeys(range(tests)))
         differing = size_differences(evidence, ["wear"])  # type: ignore[arg-type]
         assert {"wear": p_value} == {"wear": differing["wear"].p_value if differing else None}
 

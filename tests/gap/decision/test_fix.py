@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.gap.decision.causes import Finding, SizeDifference, _means
+from calib.gap.decision.causes import Finding, _means
+from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.fix import alternatives, elsewhere, harmed, holds_zero, reasons
 from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement

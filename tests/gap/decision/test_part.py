@@ -13,7 +13,8 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
 from calib.gap.decision import part
-from calib.gap.decision.causes import Finding, SizeDifference, negligible
+from calib.gap.decision.causes import Finding, negligible
+from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
 from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement

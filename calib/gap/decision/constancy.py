@@ -1,4 +1,4 @@
-"""How much wider sizes are known where radii step from session to session, named or not.
+"""Whether a cause has one size on all runs, and how much wider it is known where radii step between sessions.
 
 Steps too small to name are a variance component (Searle, Casella, McCulloch, Variance Components, 1992): restricted
 likelihood gives their scatter, Satterthwaite's degrees of freedom how well it is known.
@@ -6,19 +6,21 @@ likelihood gives their scatter, Satterthwaite's degrees of freedom how well it i
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from calib.gap.decision.confounding import LOG_EVIDENCE_WINDOW
 from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, MOST_SESSION_FOLDS, improvement_of, left_with_others
+from calib.gap.decision.trials import groupings
 from calib.gap.effects.effect import Family
 from calib.gap.effects.radii import DIRECTIONS, NAMES, SessionStep
-from calib.gap.inference.fit import fit, whitened_rows
+from calib.gap.inference.fit import CALIBRATION_SD, SIZE_SD, fit, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
-from calib.types import FloatArray
+from calib.types import FloatArray, StrArray
 
 #: relative step of a radius: unit of the scatter
 _STEP: Final = 5e-4
@@ -31,6 +33,13 @@ _SIDES: Final = ("left", "right")
 SET_WITH_SESSIONS: Final = (Family.DRIFT, Family.LOAD, Family.SPEED)
 #: chance that a true cause fails any test of constancy, or steps pass for one, the usual level
 FALSE_REJECTION: Final = 0.05
+
+#: least whitened square of a cause on a group: two standard deviations, else its size there is unknown
+LEAST_SQUARE: Final = 4.0
+#: spread of one size over groups: sizes a tenth apart leave a hundredth of the squares
+SAME_SIZE_SD: Final = 0.05
+#: prior precision of a size's difference between groups: a hundred times the size, left to the data
+DIFFERENCE_PRECISION: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,3 +168,101 @@ def half_of_mean(results: FloatArray) -> float:
 
     n = len(results)
     return float(stdtrit(n - 1, 0.975) * np.std(results, ddof=1) / np.sqrt(n))
+
+
+@dataclass(frozen=True, slots=True)
+class SizeDifference:
+    """A cause whose size differs between groups of runs beyond noise and deviations of its form."""
+
+    effect: str  #: id of the effect
+    by: str  #: what the runs are grouped by: ``kind``, ``speed``, ``load``, ``balance``, ``direction``, ``session``
+    value: str  #: the group that differs most significantly
+    reference: str  #: the group that determines the size best
+    ratio: float  #: size on the one over the size on the other
+    ratio_sd: float  #: standard uncertainty of the ratio
+    p_value: float  #: of equal sizes on all groups, corrected for the number of tests
+
+    @property
+    def sentence(self) -> str:
+        """What differs, with figures and what to do."""
+        return (
+            f"the size of {self.effect} differs by {self.by}: on {self.value} it is {self.ratio:.2g} +- "
+            f"{2.0 * self.ratio_sd:.1g} times that on {self.reference} (p = {self.p_value:.1g}): another effect "
+            "may act instead; 'calib plan' names the runs that tell"
+        )
+
+
+def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, SizeDifference]:
+    """Return, by effect, those whose sizes differ between groups of runs.
+
+    A cause's contribution is given a further factor on each group, beside recalibration and fitted effects (a test of
+    parameter constancy: Chow, Econometrica 28, 1960). The covariance holds the lack of fit and deviations from the
+    form. The statistic follows F; levels are divided by the number of tests. None is what an effect that may act
+    beside accounts for, so that a test of its own, the only one, no longer shows a difference.
+    """
+    fit = HeldOutFit(evidence.fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
+    # what differs by session has no common size
+    names = {name for name in effects if not evidence.effects[name].per_session}
+    groups = groupings(evidence.observations, by_balance=True)
+    contributions = _contributions(evidence, fit, names)
+
+    def difference(effect: str, by: str, beside: FloatArray | None = None) -> SizeDifference | None:
+        return _difference(fit, effect, contributions[effect], by, groups[by], beside)
+
+    pairs = ((effect, by) for effect in contributions for by in groups)
+    tested = [found for effect, by in pairs if (found := difference(effect, by)) is not None]
+    differing: dict[str, SizeDifference] = {}
+    for each in sorted(tested, key=lambda each: each.p_value):
+        if (p_value := len(tested) * each.p_value) >= FALSE_REJECTION:
+            break
+        others = (difference(each.effect, each.by, beside) for beside in _beside(evidence, fit))
+        if each.effect not in differing and all(other and other.p_value < FALSE_REJECTION for other in others):
+            differing[each.effect] = replace(each, p_value=p_value)
+    return differing
+
+
+def _beside(evidence: Evidence, fit: HeldOutFit) -> Iterator[FloatArray]:
+    """Yield the columns (n_rows, p) of each form that may act beside the named effects."""
+    search, order = evidence.search, fit.weighting.system.blocks.order
+    probability = dict(zip(search.models, search.probabilities, strict=True))
+    least = probability.get(search.effects, 0.0) * np.exp(-LOG_EVIDENCE_WINDOW)
+    for name, forms in search.forms.items():
+        if name not in search.effects and probability.get(tuple(sorted([*search.effects, name])), 0.0) >= least:
+            yield from (evidence.system.columns(form)[order] for form in forms)
+
+
+def _contributions(evidence: Evidence, fit: HeldOutFit, names: Collection[str]) -> dict[str, FloatArray]:
+    contributions, first = {}, 4
+    for form, theta in zip(evidence.fitted.forms, evidence.fitted.theta, strict=True):
+        contributions[form.effect] = fit.columns[:, first : first + len(theta)] @ (theta / form.typical)
+        first += len(theta)
+    per_unit = fit.weighting.system.calibration / CALIBRATION_SD
+    for number, name in enumerate(NAMES):
+        if name in evidence.calibration:
+            contributions[name] = per_unit @ DIRECTIONS[number] * evidence.recalibration.values[number]
+    return {name: contribution for name, contribution in contributions.items() if name in names}
+
+
+def _difference(
+    fit: HeldOutFit, effect: str, contribution: FloatArray, by: str, labels: StrArray, beside: FloatArray | None = None
+) -> SizeDifference | None:
+    from scipy.special import fdtrc
+
+    on_rows = labels[fit.weighting.system.blocks.unit]
+    squares = {str(value): float((contribution[on_rows == value] ** 2).sum()) for value in np.unique(labels)}
+    reference, *others = sorted((v for v in squares if squares[v] > LEAST_SQUARE), key=lambda v: -squares[v]) or [""]
+    if not others:
+        return None
+    nuisance = fit.columns[:, :0] if beside is None else beside
+    further = np.column_stack([nuisance, *(np.where(on_rows == value, contribution, 0.0) for value in others)])
+    own = np.concatenate([fit.precision, np.full(nuisance.shape[1], 1.0 / SIZE_SD**2)])
+    precision = np.concatenate([own, np.full(len(others), DIFFERENCE_PRECISION)])
+    estimates, covariance = fit.weighting.solve(np.concatenate([fit.columns, further], axis=1), precision)
+    change, covariance = estimates[-len(others) :], covariance[-len(others) :, -len(others) :]
+    sd = np.sqrt(np.diag(covariance))
+    covariance = covariance + SAME_SIZE_SD**2 * (np.eye(len(others)) + 1.0)
+    largest = int(np.argmax(np.abs(change) / sd))
+    statistic = float(change @ np.linalg.solve(covariance, change)) / len(others)
+    p_value = float(fdtrc(len(others), max(fit.noise.dof, 3.0), statistic))
+    ratio = 1.0 + float(change[largest])
+    return SizeDifference(effect, by, others[largest], reference, ratio, float(sd[largest]), p_value)
