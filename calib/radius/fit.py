@@ -15,7 +15,7 @@ from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadInputError, ImplausibleError, RefusedError
-from calib.radius import effective
+from calib.radius import checks, effective
 from calib.radius.checks import FAIL_BELOW, MAX_CELLS, NOTE_BELOW, UM, p_of_t, tested, with_checks, without_loads
 from calib.radius.effective import EffectiveRadii, effective_radii
 from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, fit_wheel, t_quantile
@@ -266,7 +266,14 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     known = np.isfinite(temperature_C)
     if not known.any() or np.ptp(temperature_C[known]) < MIN_SPAN_K:
         return fit
-    fitted, span = _fitted(fit, session, known), np.ptp(temperature_C[known])
+    fitted, span, load_N = _fitted(fit, session, known), np.ptp(temperature_C[known]), fit.load_N[known]
+    with_load = float(np.corrcoef(load_N, temperature_C[known])[0, 1]) if np.ptp(load_N) else 0.0
+    if with_load**2 > 1.0 - checks.ALIASED:
+        text = (
+            f"Load and temperature go together (correlation {with_load:+.2f}, {span:.0f} K): the slope holds what the "
+            "temperature does; drive light and heavy on one warm and one cold day."
+        )
+        return replace(fit, checks=(*fit.checks, Check("temperature", NOTE, text)))
     columns = (fit.residual_m, temperature_C)
     residual, warmth = (column[known] - fitted @ (fitted.T @ column[known]) for column in columns)
     dof, squares = len(residual) - fitted.shape[1] - 1, float(warmth @ warmth)
