@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.check import implausible, notes_for_results
+from calib.campaign.checks.design import columns_as_one
 from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
 from calib.gap.decision.constancy import SizeDifference, size_differences, without_refuted
@@ -127,6 +128,11 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     first = _on_data(evidence.situation, blunder) if diagnosis.kind in NOTHING_NAMED else ()
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
     text = lead + said + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
+    for note in columns_as_one(evidence.situation.campaign):
+        words = [word for cause in diagnosis.causes for word in (cause.family, cause.effect.partition("_")[0]) if word]
+        if any(word in note.where for word in words):
+            where = note.where.replace(", columns", ",")
+            text += f" In these {where} change together: sizes hold if only one of the two acts."
     return replace(diagnosis, sentence=text, correct_first=first or (sentences.CHECK_UNITS,) * blunder)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +18,7 @@ from calib.challenge.cases import campaigns_of, truth_of
 from calib.challenge.seal import Seeds, read_seeds, recipes
 from calib.gap.decision import constancy
 from calib.gap.decision.constancy import (
+    FALSE_REJECTION,
     SAME_SIZE_SD,
     SizeDifference,
     _difference,
@@ -65,9 +67,11 @@ def drawn(rng: np.random.Generator, sizes: dict[str, float]) -> tuple[Array, Arr
     return np.column_stack([nuisance, effect]), gap, labels
 
 
-def difference(columns: Array, gap: Array, labels: npt.NDArray[np.str_]) -> SizeDifference | None:
+def difference(
+    columns: Array, gap: Array, labels: npt.NDArray[np.str_], beside: Array | None = None
+) -> SizeDifference | None:
     fit = ordinary_fit(columns, gap)
-    return _difference(fit, "effect", columns[:, 1], "kind", labels)  # type: ignore[arg-type]
+    return _difference(fit, "effect", columns[:, 1], "kind", labels, beside)  # type: ignore[arg-type]
 
 
 def test_the_p_value_is_that_of_the_sizes_that_a_regression_gives_each_group() -> None:
@@ -109,15 +113,15 @@ def test_equal_sizes_are_rejected_as_rarely_as_stated() -> None:
 
 
 def test_the_p_value_that_is_said_counts_all_tests_of_the_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One in twenty campaigns doubts a cause by chance, however many groupings are tried."""
+    """One in twenty campaigns doubts a cause by chance, however many groupings are tried.
+
+    An effect that may act beside is tried by a test of its own.
+    """
     found = SizeDifference("wear", "speed", "a", "b", 2.0, 0.1, 0.01)
-    for name, value in (
-        ("HeldOutFit", None),
-        ("_contributions", {"wear": None}),
-        ("_difference", found),
-        ("_beside", ()),
-    ):
+    stubs = {"HeldOutFit": None, "_contributions": {"wear": None}, "_beside": ()}
+    for name, value in stubs.items():
         monkeypatch.setattr(constancy, name, lambda *_, value=value: value)
+    monkeypatch.setattr(constancy, "_difference", lambda *of: replace(found, by=of[3], p_value=of[-1] or 0.01))
     evidence = SimpleNamespace(
         effects={"wear": SimpleNamespace(per_session=False)}, search=SimpleNamespace(weighting=0)
     )
@@ -126,6 +130,19 @@ def test_the_p_value_that_is_said_counts_all_tests_of_the_campaign(monkeypatch: 
         monkeypatch.setattr(constancy, "groupings", lambda *_, tests=tests, **__: dict.fromkeys(range(tests)))
         differing = size_differences(evidence, ["wear"])  # type: ignore[arg-type]
         assert {"wear": p_value} == {"wear": differing["wear"].p_value if differing else None}
+    monkeypatch.setattr(constancy, "groupings", lambda *_, **__: dict.fromkeys(range(4)))
+    for beside, differs in (((0.02,), True), ((0.02, 0.1), False)):
+        monkeypatch.setattr(constancy, "_beside", lambda *_, beside=beside: beside)
+        assert bool(size_differences(evidence, ["wear"])) is differs  # type: ignore[arg-type]
+
+
+def test_what_another_effect_accounts_for_is_no_difference() -> None:
+    """One size everywhere, and an effect of its own that acts on one group; another that acts there otherwise."""
+    columns, gap, labels = drawn(np.random.default_rng(5), {"a": 1.0, "b": 1.0})
+    beside, otherwise = np.where(labels == "b", columns[:, 1], 0.0), np.random.default_rng(6).normal(size=N_ROWS)
+    gap = gap + 0.8 * beside
+    levels = [difference(columns, gap, labels, other) for other in (None, beside[:, None], otherwise[:, None])]
+    assert [each is not None and each.p_value < FALSE_REJECTION for each in levels] == [True, False, True]
 
 
 def test_a_group_on_which_the_effect_does_nothing_says_nothing() -> None:
