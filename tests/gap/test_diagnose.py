@@ -121,6 +121,18 @@ def test_one_load_a_session_confounds_load_and_session(corridor: Diagnosis) -> N
     assert any("load_radius" in run.why and "session_step" in run.why for run in corridor.next_runs)
 
 
+def test_sizes_of_a_load_that_was_driven_in_one_direction_alone_are_said_to_hold_what_the_direction_does(
+    project_root: Path,
+) -> None:
+    recorded = read_campaign(project_root / "sample_runs" / "corridor_crossed")
+    payload, out = recorded.runs.number("payload_kg"), recorded.runs.label("direction") == "out"
+    together = ((payload == 200.0) & out) | ((payload == 0.0) & ~out)
+    runs = replace(recorded.runs, excluded=recorded.runs.excluded | ~together)
+    diagnosis = diagnose_in_full(replace(recorded, runs=runs), plan=False)
+    assert [cause.effect for cause in diagnosis.causes] == ["load_radius"]
+    assert "load and direction change together: sizes hold if only one of the two acts" in diagnosis.sentence
+
+
 def test_crossed_loads_name_the_load_with_the_slopes_of_the_regression(
     crossed: Diagnosis, crossed_campaign: Campaign
 ) -> None:

@@ -128,7 +128,7 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     first = _on_data(evidence.situation, blunder) if diagnosis.kind in NOTHING_NAMED else ()
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
     text = lead + said + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
-    for note in columns_as_one(evidence.situation.campaign):
+    for note in columns_as_one(evidence.situation.campaign.included()):
         words = [word for cause in diagnosis.causes for word in (cause.family, cause.effect.partition("_")[0]) if word]
         if any(word in note.where for word in words):
             where = note.where.replace(", columns", ",")
