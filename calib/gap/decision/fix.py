@@ -11,7 +11,7 @@ from calib.gap.decision import confounding
 from calib.gap.decision.causes import Finding
 from calib.gap.decision.constancy import SET_WITH_SESSIONS
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, Improvement
+from calib.gap.decision.held_out import Closure, Improvement
 from calib.gap.decision.kind import HALF_CLOSURE, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree, fails
 from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.effect import Family
@@ -213,13 +213,12 @@ def remaining(
     """Yield where part of the gap, `rest`, is certainly left, and where too little of it closes; `left`: it shows."""
     if improvement is None or improvement.improvement_ci95[0] <= 0.0:
         return
-    large = improvement.leaves_some or (unexplained is not None and unexplained.share > SMALL_SHARE)
-    wanted = ADEQUATE_CLOSURE if large else HALF_CLOSURE if unexplained is not None or left else 0.0
-    if wanted and improvement.closed_ci95[0] <= wanted:
+    part = improvement.leaves_some or unexplained is not None or left
+    if part and improvement.closed_ci95[0] <= HALF_CLOSURE:
         low, high = (100 * share for share in improvement.closed_ci95)
         yield (
-            f"on held-out runs it closes {low:.0f} to {high:.0f} % of the gap, where {100 * wanted:.0f} % are to be "
-            f"certain ({_errors(improvement)}): {rest}"
+            f"on held-out runs it closes {low:.0f} to {high:.0f} % of the gap, where {100 * HALF_CLOSURE:.0f} % are to "
+            f"be certain ({_errors(improvement)}): {rest}"
         )
 
 

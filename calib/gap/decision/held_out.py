@@ -17,7 +17,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: of a closure: nothing held out, the user's simulator ran again with the fix
 RERUN: Final = "none"
-#: least closure of a recommended fix and a believed explanation: more than two thirds of the error's square go
+#: least closure of a believed explanation: more than two thirds of the error's square go
 ADEQUATE_CLOSURE: Final = 0.7
 #: least closure of an explained gap; below, part of it is unexplained
 FULL_CLOSURE: Final = 0.9
