@@ -63,7 +63,7 @@ def proposed(
 
     full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
     ties = open_questions(full)
-    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, candidates=among, most=most)
+    runs = next_runs(campaign, full.hypothesis, full.noise, ties, candidates=among, most=most)
     with suppress(CalibError):
         from calib.kinematics.assemble import Promise
         from calib.kinematics.estimate import estimate_geometry

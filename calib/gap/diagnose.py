@@ -147,7 +147,7 @@ def diagnose_in_full(
 
     progress(0, 0, "next runs")
     ties = open_questions(diagnosis)
-    return replace(diagnosis, next_runs=tuple(next_runs(campaign, effects, noise, ties, fitted, model=model)))
+    return replace(diagnosis, next_runs=tuple(next_runs(campaign, evidence.hypothesis, noise, ties, model=model)))
 
 
 def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: SearchResult) -> bool:

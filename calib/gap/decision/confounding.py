@@ -10,28 +10,23 @@ import numpy as np
 
 from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.kind import SMALL_SHARE
-from calib.gap.effects.effect import Family, Form
+from calib.gap.effects.effect import Form
 from calib.gap.effects.library import applied_perturbations, section_of
-from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, RadiusScale, SpeedRadius, TrackWidth
-from calib.gap.effects.reference import ReferenceScale
+from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.inference.fit import CALIBRATION_SD, calibration_pushes, hypothesis_path
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.inference.recalibration import PRIOR_SHIFT_ODDS
 from calib.gap.observations.arrays import POSE
-from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of
+from calib.gap.plan.identifiability import SEPARATION_SD
 from calib.gap.predict import predict
 from calib.types import FloatArray
 
 #: log evidence within which hypotheses are not separated: a factor of ten
 LOG_EVIDENCE_WINDOW: Final = 2.3
-#: prior standard deviation, in typical sizes, of named effects while aliases of one are sought
-OTHER_EFFECTS_SD: Final = 3.0
 #: the most probable sets hold so much together
 CREDIBLE: Final = 0.95
-#: off by the same share: radii and track, and what does the same without another measure of length
-SCALED: Final = (RadiusScale.id, TrackWidth.id, ReferenceScale.id)
 #: a radius or track is wrong so many times as often as one effect that looks like it
 CALIBRATION_ODDS: Final = 5.0
 #: above this the search weighed an effect with the calibration
@@ -54,84 +49,17 @@ def calibrated(probability: float) -> float:
 
 def groups_of(evidence: Evidence) -> list[list[str]]:
     """Return the group that each named effect is confounded with (itself first, then the nearest)."""
-    groups = _groups_of_effects(evidence)
-    fitted, system, calibration = evidence.fitted, evidence.system, evidence.calibration
-    forms = evidence.search.forms
-    free = [system.calibration[:, 3:], *(OTHER_EFFECTS_SD * system.columns(form) for form in fitted.forms)]
-    if evidence.unaided_scale and set(calibration).issuperset(SCALED[:2]):
-        ratio = [evidence.per_unit @ DIRECTIONS[[NAMES.index(name)]].T for name in calibration if name not in SCALED]
-        nuisance = Nuisance.of(np.concatenate([*free, *(CALIBRATION_SD[0] * column for column in ratio)], axis=1))
-        both = evidence.calibration_contribution(SCALED[:2]) / np.sqrt(evidence.variance_factor)
-        near = aliases_of(system, nuisance, both, forms | evidence.unaided_scale, evidence.named)
-        if near.pop(ReferenceScale.id, None) is not None:
-            groups.append([*SCALED, *sorted(near, key=near.__getitem__)])
-            calibration = tuple(name for name in calibration if name not in SCALED)
-    if len(calibration) > 1:
-        # one cause may look like two parameters off (counts lost on one wheel)
-        nuisance = Nuisance.of(np.concatenate(free, axis=1))
-        near = aliases_of(system, nuisance, evidence.calibration_contribution(calibration), forms, evidence.named)
-        if near:
-            return [*groups, [*calibration, *sorted(near, key=near.__getitem__)]]
-    own = {name: effect.forms(evidence.observations) for name, effect in evidence.effects.items() if effect.calibration}
-    for name in calibration:
-        others = []
-        for other, direction in zip(NAMES, DIRECTIONS, strict=True):
-            if other != name:
-                column = (evidence.per_unit @ direction)[:, None]
-                # what is not off may be off by what does not show
-                undetected = SEPARATION_SD / max(float(np.linalg.norm(column)), 1e-12)
-                others.append(column * (CALIBRATION_SD[0] if other in calibration else undetected))
-        nuisance = Nuisance.of(np.concatenate([*free, *others], axis=1))
-        near = aliases_of(system, nuisance, evidence.calibration_contribution([name]), forms | own, evidence.named)
-        instead = [alias for alias in evidence.recalibration.instead.get(name, ()) if alias not in near]
-        groups.append([name, *sorted(near, key=near.__getitem__), *instead])
-    return groups
-
-
-def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
-    fitted, system = evidence.fitted, evidence.system
     groups = []
-    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        others = [OTHER_EFFECTS_SD * system.columns(other) for other in fitted.forms if other is not form]
-        contribution = np.asarray(system.columns(form) @ (theta / form.typical))
-        absorbing = _absorbing(evidence, contribution)
-        near = dict.fromkeys(absorbing, 0.0)
-        for held in (False, True):
-            calibration = _undetected(evidence) if held else system.calibration
-            own = bool(absorbing) or evidence.effects[form.effect].needs_calibration
-            compared = {
-                name: forms
-                for name, forms in evidence.search.forms.items()
-                if held == (own or evidence.effects[name].needs_calibration)
-            }
-            nuisance = Nuisance.of(np.concatenate([calibration, *others], axis=1))
-            if SpeedRadius.id in compared and evidence.effects[form.effect].family is Family.DIRECTION:
-                compared = compared | {SpeedRadius.id: AnySpeed().forms(evidence.observations)}
-            near |= aliases_of(system, nuisance, contribution, compared, evidence.named)
-        for name in (*_as_likely(evidence, form.effect), *_other_laws(evidence, form.effect)):
-            if name not in evidence.named:
-                near.setdefault(name, SEPARATION_SD)
-        groups.append([form.effect, *sorted(near, key=near.__getitem__)])
+    for named, near in evidence.hypothesis.distances():
+        effect = named[0]
+        if effect in evidence.search.effects:
+            likely = (*_as_likely(evidence, effect), *_other_laws(evidence, effect))
+            likely = tuple(name for name in likely if name not in evidence.named)
+        else:
+            likely = evidence.recalibration.instead.get(effect, ()) if len(named) == 1 else ()
+        near |= {name: SEPARATION_SD for name in likely if name not in near}
+        groups.append([*named, *sorted(near, key=near.__getitem__)])
     return groups
-
-
-def _absorbing(evidence: Evidence, contribution: FloatArray) -> list[str]:
-    """Return the recalibration parameters that absorb a contribution (n_rows,)."""
-    left = Nuisance.of(evidence.system.calibration).scalar(contribution[:, None], contribution[:, None])[0, 0]
-    if not left < SEPARATION_SD**2 < contribution @ contribution:
-        return []
-    columns = evidence.per_unit @ DIRECTIONS.T
-    sizes = np.linalg.lstsq(columns, contribution)[0] * np.linalg.norm(columns, axis=0)
-    return [name for name, size in zip(NAMES, sizes.tolist(), strict=True) if abs(size) > SEPARATION_SD]
-
-
-def _undetected(evidence: Evidence) -> FloatArray:
-    """Return the recalibration, whitened: what is not off varies by what does not show alone."""
-    columns = evidence.per_unit @ DIRECTIONS.T
-    limits = SEPARATION_SD / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-    off = [name in evidence.calibration for name in NAMES]
-    free = columns * np.where(off, CALIBRATION_SD[0], limits)
-    return np.concatenate([free, evidence.system.calibration[:, 3:]], axis=1)
 
 
 def _as_likely(evidence: Evidence, effect: str) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -16,7 +16,6 @@ from calib.gap.decision.held_out import Closure, HeldOut, Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder import Blunder
-from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.effects.reference import ReferenceScale, TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
@@ -25,6 +24,7 @@ from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import Recalibration
 from calib.gap.localise.locate import GapLocation
 from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.plan.confounded import Hypothesis
 from calib.gap.plan.identifiability import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.gap.predict import Path, residuals
@@ -122,10 +122,12 @@ class Evidence:
         """Calibration parameters' whitened effect per relative change, (n_rows, 4)."""
         return np.asarray(self.system.calibration / CALIBRATION_SD)
 
-    def calibration_contribution(self, names: Sequence[str]) -> FloatArray:
-        """Return the whitened effect of calibration parameters at their fitted sizes, (n_rows,)."""
-        numbers = [NAMES.index(name) for name in names]
-        return np.asarray(self.per_unit @ DIRECTIONS[numbers].T @ self.recalibration.values[numbers])
+    @cached_property
+    def hypothesis(self) -> Hypothesis:
+        """What is named, at its sizes."""
+        fitted, own, search = self.fitted, self.calibration, self.search
+        sizes = fitted.forms, fitted.theta, own, self.recalibration.values
+        return Hypothesis(self.system, self.effects, search.forms, *sizes, self.unaided_scale, self.variance_factor)
 
     @cached_property
     def explained_share(self) -> tuple[float, float]:
@@ -337,6 +339,11 @@ class Diagnosis(Result):
     def held_out(self) -> HeldOut:
         """Residuals before and after on held-out runs."""
         return self._arrays.held_out
+
+    @property
+    def hypothesis(self) -> Hypothesis:
+        """What is named, at its sizes, and the library."""
+        return self._arrays.hypothesis
 
     @property
     def effects(self) -> tuple[Effect, ...]:

@@ -12,13 +12,11 @@ from calib.campaign.model import Campaign
 from calib.documents import plain_fields
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import library, matching_form
-from calib.gap.effects.radii import DIRECTIONS, NAMES
-from calib.gap.inference.fit import CALIBRATION_SD, Fitted, signature_columns, whitened_rows
+from calib.gap.inference.fit import CALIBRATION_SD, signature_columns, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.marginal_likelihood import Nuisance, project
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.noise_components import COMPONENTS, kernels, masked, quantisation
-from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.types import BoolArray, FloatArray, IntArray, Progress, silent, stepped
@@ -54,8 +52,9 @@ def aliases_of(
     contribution: FloatArray,
     forms: Mapping[str, Sequence[Form]],
     named: Sequence[str],
+    within: float = SEPARATION_SD,
 ) -> dict[str, float]:
-    """Return effects confounded with a contribution, each with its distance in standard deviations.
+    """Return effects `within` so many standard deviations of a contribution, each with its distance.
 
     `system`, `nuisance`, `contribution`: see `distance`; `forms`: the library on this campaign; `named`: effects of the
     hypothesis, no alternatives.
@@ -65,7 +64,7 @@ def aliases_of(
         for name, offered in forms.items()
         if name not in named
     }
-    return {name: value for name, value in nearest.items() if value < SEPARATION_SD}
+    return {name: value for name, value in nearest.items() if value < within}
 
 
 def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
@@ -75,23 +74,18 @@ def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
     return Noise(masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
 
 
-def fitted_sizes(
-    observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
+def sizes_on(
+    offered: Mapping[str, Sequence[Form]], forms: Sequence[Form], theta: Sequence[FloatArray]
 ) -> dict[str, tuple[Form, FloatArray]]:
-    """Return form and size of fitted effects on observations, and of radii and track."""
+    """Return fitted forms as they are on other runs, of those `offered` there, and their sizes."""
     sizes: dict[str, tuple[Form, FloatArray]] = {}
-    if fitted is None:
-        return sizes
-    wanted = {*NAMES, *(form.effect for form in fitted.forms)}
-    forms = {effect.id: effect.forms(observations) for effect in effects if effect.id in wanted}
-    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        here = matching_form(forms.get(form.effect, []), form.label, form.settings)
+    for form, size in zip(forms, theta, strict=True):
+        # further routes may part what was one form
+        alike = [each for each in offered.get(form.effect, ()) if len(each.parameters) == len(form.parameters)][:1]
+        here = matching_form(offered.get(form.effect, ()), form.label, form.settings) or next(iter(alike), None)
         if here is not None:
-            known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
+            known = {parameter.name: float(value) for parameter, value in zip(form.parameters, size, strict=True)}
             sizes[form.effect] = here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])
-    for name, size in zip(NAMES, np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3]), strict=True):
-        if forms.get(name) and abs(size) > 1e-12:
-            sizes[name] = forms[name][0], np.array([size])
     return sizes
 
 
