@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -16,6 +16,7 @@ from calib.gap.decision.held_out import Closure, HeldOut, Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder import Blunder
+from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed
 from calib.gap.effects.reference import ReferenceScale, TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
@@ -24,7 +25,6 @@ from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import Recalibration
 from calib.gap.localise.locate import GapLocation
 from calib.gap.observations.arrays import Channel, Observations
-from calib.gap.plan.confounded import Hypothesis
 from calib.gap.plan.identifiability import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.gap.predict import Path, residuals
@@ -123,11 +123,15 @@ class Evidence:
         return np.asarray(self.system.calibration / CALIBRATION_SD)
 
     @cached_property
-    def hypothesis(self) -> Hypothesis:
-        """What is named, at its sizes."""
-        fitted, own, search = self.fitted, self.calibration, self.search
-        sizes = fitted.forms, fitted.theta, own, self.recalibration.values
-        return Hypothesis(self.system, self.effects, search.forms, *sizes, self.unaided_scale, self.variance_factor)
+    def own_forms(self) -> dict[str, list[Form]]:
+        """Forms of the calibration's parameters, and of radii by any law of the speed."""
+        own = [effect for effect in self.effects.values() if effect.calibration]
+        return {effect.id: effect.forms(self.observations) for effect in (*own, AnySpeed())}
+
+    def calibration_contribution(self, names: Sequence[str]) -> FloatArray:
+        """Return the whitened effect of calibration parameters at their fitted sizes, (n_rows,)."""
+        numbers = [NAMES.index(name) for name in names]
+        return np.asarray(self.per_unit @ DIRECTIONS[numbers].T @ self.recalibration.values[numbers])
 
     @cached_property
     def explained_share(self) -> tuple[float, float]:
@@ -298,7 +302,8 @@ class Diagnosis(Result):
         return self.fix.recommended
 
     @property
-    def _arrays(self) -> Evidence:
+    def arrays(self) -> Evidence:
+        """What was weighed."""
         if self.evidence is None:
             raise ValueError("this diagnosis has no arrays: it does not come from a campaign")
         return self.evidence
@@ -306,22 +311,22 @@ class Diagnosis(Result):
     @property
     def observations(self) -> Observations:
         """Observations and steps, blunders of counts corrected."""
-        return self._arrays.observations
+        return self.arrays.observations
 
     @property
     def noise(self) -> Noise:
         """Covariance of each observation."""
-        return self._arrays.noise
+        return self.arrays.noise
 
     @property
     def nominal(self) -> Path:
         """The model alone."""
-        return self._arrays.nominal
+        return self.arrays.nominal
 
     @property
     def fitted(self) -> Fitted:
         """The most probable hypothesis, the recalibration free."""
-        return self._arrays.fitted
+        return self.arrays.fitted
 
     @property
     def correction(self) -> Fitted:
@@ -332,23 +337,18 @@ class Diagnosis(Result):
     def corrected_causes(self) -> tuple[Cause, ...]:
         """The named causes that the fix corrects."""
         wanted = self.fix.corrects
-        blunders = {fault.effect.id for fault in self._arrays.situation.faults}
+        blunders = {fault.effect.id for fault in self.arrays.situation.faults}
         return tuple(c for c in self.causes if wanted is None or c.effect in wanted or c.effect in blunders)
 
     @property
     def held_out(self) -> HeldOut:
         """Residuals before and after on held-out runs."""
-        return self._arrays.held_out
-
-    @property
-    def hypothesis(self) -> Hypothesis:
-        """What is named, at its sizes, and the library."""
-        return self._arrays.hypothesis
+        return self.arrays.held_out
 
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The library that was searched."""
-        return tuple(self._arrays.effects.values())
+        return tuple(self.arrays.effects.values())
 
     @property
     def table(self) -> DataFrame:

@@ -18,7 +18,6 @@ from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class, why_not_transferable
 from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
 from calib.gap.inference.local_search import EVEN_PROBABILITY
-from calib.gap.plan.confounded import SCALED
 
 #: what settles most doubts
 PLAN: str = "'calib plan' names the runs that tell"
@@ -300,7 +299,7 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
             f"corrections part; {PLAN}"
         )
     # a scale grows with the way: what agrees here does not on longer runs
-    by_tape = any(tuple(group[:3]) == SCALED for group in tied)
+    by_tape = any(tuple(group[:3]) == confounding.SCALED for group in tied)
     if apart_m is None or (corrections_agree(apart_m, closure) and not by_tape):
         return
     groups = "; ".join(" or ".join(group) for group in tied)

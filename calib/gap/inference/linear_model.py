@@ -16,7 +16,7 @@ from calib.gap.inference.lack_of_fit import LACK_OF_FIT_SCALES, Blocks, LackOfFi
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.scalar_products import Layout, Reduced, Sums, above_rounding, scalar_products
 from calib.gap.predict import Path, residuals
-from calib.types import BoolArray, FloatArray
+from calib.types import FloatArray
 
 #: columns of a recalibration
 N_CALIBRATION: Final = 4
@@ -159,23 +159,21 @@ class WhitenedSystem:
         self._offered = () if path.kept is not None else tuple(offered)
         self._columns: dict[int, tuple[Form, FloatArray]] = {}
         self._known, self._back = known, None if known is None else np.argsort(known.blocks.order)
-        self._rows: tuple[WhitenedSystem, BoolArray, FloatArray] | None = None
 
     def repeated(self, times: FloatArray) -> WhitenedSystem:
-        """Return the system with each observation made so often, (n_obs,); without those made zero times."""
-        weight = np.sqrt(times)[np.nonzero(self.path.s.usable)[0]]
-        rows, some = weight > 0.0, copy(self)
-        some._columns, some._rows = {}, (self, rows, weight[rows, None])
-        some.calibration = self.calibration[rows] * some._rows[2]
+        """Return the system with each observation made so often, (n_obs,), or not at all."""
+        weight = np.sqrt(times)[np.nonzero(self.path.s.usable)[0], None]
+        rows, some = weight[:, 0] > 0.0, copy(self)
+
+        def made(columns: FloatArray) -> FloatArray:
+            return np.asarray(columns[rows] * weight[rows])
+
+        some.calibration = made(self.calibration)
+        vars(some)["columns"] = lambda form: made(self.columns(form))
         return some
 
     def columns(self, form: Form) -> FloatArray:
         """Return the whitened signatures of a form in typical sizes, shape (n_rows, n_parameters)."""
-        if self._rows is not None:
-            whole, rows, weight = self._rows
-            if id(form) not in self._columns:
-                self._columns[id(form)] = form, whole.columns(form)[rows] * weight
-            return self._columns[id(form)][1]
         if self._known is not None and any(form is own for own in self._known.forms):
             return self._known.of(*self._known.numbers([form]))[self._back]
         if id(form) not in self._columns:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
@@ -13,18 +13,17 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from calib.campaign.checks.design import FEWEST_OF_A_LAW, columns_as_one, sessions_of_loads
 from calib.campaign.model import Campaign
 from calib.campaign.read import CLOSED, GYRO_TURN
-from calib.campaign.settings import OdometryModel
 from calib.campaign.settings_file import load_toml, parse_settings
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
+from calib.gap.effects.effect import Effect
 from calib.gap.effects.reference import ReferenceScale
+from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan import planned_runs
-from calib.gap.plan.confounded import Hypothesis
-from calib.gap.plan.gains import Task, Tied, Untied
-from calib.gap.plan.identifiability import Signatures, noise_at
+from calib.gap.plan.identifiability import ENOUGH_SD, Apart, Signatures, fitted_sizes, noise_at, tied, untied
 from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, drive, joined, route_of
-from calib.gap.predict import predict
+from calib.gap.predict import Path, predict
 
 #: runs to recommend: about an hour of driving
 MOST_RUNS: Final = 5
@@ -36,11 +35,12 @@ CORRIDOR_RANGE_M: Final = (2.0, 500.0)
 
 def next_runs(
     campaign: Campaign,
-    hypothesis: Hypothesis,
+    effects: Sequence[Effect],
     noise: Noise,
     ties: Sequence[Sequence[str]] = (),
+    fitted: Fitted | None = None,
     *,
-    model: OdometryModel | None = None,
+    apart_on: Callable[[Path, Noise, Collection[str]], Apart] | None = None,
     candidates: Sequence[PlannedRun] | None = None,
     most: int = MOST_RUNS,
 ) -> list[PlannedRun]:
@@ -54,56 +54,59 @@ def next_runs(
     the former and before the latter; first come loads driven one way alone, and a length beside a reference that alone
     measures any.
 
-    `hypothesis`: what is named at its sizes, and the library; `noise`: of `campaign`, with the scales of the next runs;
-    `ties`: groups of confounded effects; `model`: the simulator's, by default the campaign's; `candidates`: see
-    `default_candidates`; `most`: runs to recommend, beside the unladen one.
+    `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
+    effects; `fitted`: gives sizes, typical for others; `apart_on`: how far the diagnosis takes effects to be from the
+    named ones on other runs, for `ties`; `candidates`: see `default_candidates`; `most`: runs to recommend, beside the
+    unladen one.
     """
     driven = campaign.included()
-    if model is not None:
-        driven = replace(driven, model=model)
     measured = _measured(driven)
     candidates = _candidates(driven, measured, ties) if candidates is None else candidates
     if not candidates:
         return []
-    # the unladen run comes first
-    runs = [_corridor_run(driven), *(replace(run, count=_count(driven, run)) for run in candidates)]
+    # the unladen run comes first; where nothing shows the noise so far, one repeat more does
+    more, unladen = int(noise.dof <= 0.0), _corridor_run(driven)
+    unladen = replace(unladen, tape=not (measured.distance or measured.position), count=1 + more * REPEATS)
+    runs = [unladen, *(replace(run, count=_count(driven, run) + more) for run in candidates)]
     observations = observations_of(joined(driven, drive(driven, runs, measured, _corridor_m(driven))))
     path = predict(observations)
     noise, names = noise_at(path, noise.scales), [f"next{number:03d}" for number in range(len(runs))]
     number = np.array([names.index(name) if name in names else -1 for name in observations.labels["run_id"]])
     counts = np.array([run.count for run in runs])
-    tied = Tied(hypothesis.on(path, noise, {name for tie in ties for name in tie}), number, counts, ties)
-    task: Task = tied
-    if not tied.pairs:
-        every = hypothesis.on(path, noise, hypothesis.effects)
-        task = Untied(Signatures(path, noise, [*every.effects.values()], every.sizes), number, counts)
+    task = None
+    if ties and apart_on is not None:
+        task = tied(apart_on(path, noise, {name for tie in ties for name in tie}), number, counts, ties)
+    if task is None or not task.names:
+        sizes = fitted_sizes(observations, effects, fitted)
+        task = untied(Signatures(path, noise, effects, sizes), number, counts)
     taped = any(ReferenceScale.id in tie for tie in ties) and not measured.distance
     # what 'calib fit' lacks follows the runs that tell confounded effects
     law = _of_law(driven, runs)
-    first = {} if tied.pairs else dict.fromkeys(law[:1], _OF_LAW)
+    first = {} if task.tied else dict.fromkeys(law[:1], _OF_LAW)
     first |= dict.fromkeys(_of_one_way(driven, runs), _BOTH_WAYS)
     first |= {n: _OF_SCALE for n, run in enumerate(runs) if taped and run.tape}
     chosen = [0, *list(first)[:most]]
     left = set(number[number > 0].tolist()).difference(chosen)
-    while len(chosen) <= most - bool(tied.pairs and law and most > 1) and left:
-        before, after = task.distances(chosen), task.distances_with(chosen, sorted(left))
-        best = max(after, key=lambda n: (task.score(after[n]), -n))
-        if task.done(before) or not (task.score(after[best]) > task.score(before) and task.gains(before, after[best])):
+    while len(chosen) <= most - bool(task.tied and law and most > 1) and left:
+        numbers = sorted(left)
+        before, *after = task.of([chosen, *([*chosen, n] for n in numbers)])
+        best = max(range(len(after)), key=lambda k: (task.score(after[k]), -k))
+        enough, gained = (before >= ENOUGH_SD).all(), task.score(after[best]) > task.score(before)
+        if enough or not (gained and task.gains(before, after[best])):
             break
-        chosen.append(best)
-        left.remove(best)
-    later = law[: min(1, most + 1 - len(chosen))] if tied.pairs and not set(law).intersection(chosen) else []
+        chosen.append(numbers[best])
+        left.remove(numbers[best])
+    later = law[: min(1, most + 1 - len(chosen))] if task.tied and not set(law).intersection(chosen) else []
     # what tells nothing more is not driven
     kept = {*first, 0} if later or set(first.values()) & {_OF_LAW, _BOTH_WAYS} else {*first}
     for n in reversed(chosen):
         others = [other for other in chosen if other != n]
-        if n not in kept and (tied.pairs or n == 0) and task.told(others) >= task.told(chosen):
+        if n not in kept and (task.tied or n == 0) and task.told(others) >= task.told(chosen):
             chosen = others
-    proposed, told = list[PlannedRun](), task.distances(chosen)
-    for place, n in enumerate(chosen):
-        before, after = task.distances(chosen[:place]), task.distances(chosen[: place + 1])
-        why = "; ".join(filter(None, (first.get(n, ""), task.why(before, after, told)))) or _BESIDE
-        proposed.append(replace(runs[n], why=why, distance=float(after.min()) if tied.pairs else None))
+    proposed, steps = list[PlannedRun](), task.of([chosen[:place] for place in range(len(chosen) + 1)])
+    for n, before, after in zip(chosen, steps, steps[1:], strict=False):
+        why = "; ".join(filter(None, (first.get(n, ""), task.why(before, after, steps[-1])))) or _BESIDE
+        proposed.append(replace(runs[n], why=why, distance=float(after.min()) if task.tied else None))
     proposed += [replace(runs[n], why=_OF_LAW) for n in later]
     return [_stated(run, _corridor_m(driven), by_laser=measured.distance) for run in proposed]
 
@@ -140,21 +143,20 @@ def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
     measured = np.isfinite(driven.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW
     if not measured or len(sessions_of_loads(driven)) != 1:
         return []
-    laden = [number for number, run in enumerate(candidates) if run.kind == "corridor" and run.payload_kg > 0.0]
-    return sorted(laden, key=lambda number: -candidates[number].payload_kg)
+    return _laden(candidates)
+
+
+def _laden(runs: Sequence[PlannedRun]) -> list[int]:
+    laden = [number for number, run in enumerate(runs) if run.kind == "corridor" and run.payload_kg > 0.0]
+    return sorted(laden, key=lambda number: -runs[number].payload_kg)
 
 
 def _of_one_way(driven: Campaign, runs: Sequence[PlannedRun]) -> list[int]:
-    """Return the corridor run of the largest payload the other way, where loads went with the direction."""
+    """Return those of the largest payload, out and back, where loads went with the direction."""
     if not any("load and direction" in note.where for note in columns_as_one(driven)):
         return []
-    payload = np.nan_to_num(driven.runs.number("payload_kg"))
-    way = str(driven.runs.label("direction")[np.argmax(payload)]).lower()
-    return [
-        n
-        for n, run in enumerate(runs)
-        if run.kind == "corridor" and run.payload_kg == payload.max() and run.direction != way
-    ][:1]
+    laden = _laden(runs)
+    return [n for way in ("out", "back") for n in [n for n in laden if runs[n].direction == way][:1]]
 
 
 def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:
@@ -196,7 +198,9 @@ def _count(campaign: Campaign, run: PlannedRun) -> int:
 
 def _corridor_m(campaign: Campaign) -> float:
     distance = campaign.runs.number("distance_m")
-    corridor = (campaign.runs.label("kind") == "corridor") & np.isfinite(distance)
+    kind = campaign.runs.label("kind")
+    own = kind == "corridor"
+    corridor = (own if own.any() else np.char.startswith(kind, "corridor")) & np.isfinite(distance)
     length = float(np.median(distance[corridor])) if corridor.any() else DEFAULT_CORRIDOR_M
     low, high = CORRIDOR_RANGE_M
     return length if low <= length <= high else DEFAULT_CORRIDOR_M
@@ -256,7 +260,7 @@ class _RunEntry(_Strict):
         return PlannedRun(**self.model_dump(exclude_unset=True, exclude={"count", *columns}), columns=columns)
 
 
-def read_plan(path: Path) -> Campaign:
+def read_plan(path: FilePath) -> Campaign:
     """Return the campaign that a plan would give if the vehicle were exactly as its model.
 
     `path`: the plan: ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` with ``distance``,
@@ -284,12 +288,12 @@ def read_plan(path: Path) -> Campaign:
     return drive(replace(settings, simulated=True), runs, by, measured.corridor_m)
 
 
-def read_candidates(path: Path) -> list[PlannedRun]:
+def read_candidates(path: FilePath) -> list[PlannedRun]:
     """Return runs to choose from: a file with ``[[runs]]`` as in a plan, ``count`` unused."""
     return list({repr(run): run for run in _runs(_load(path).get("runs"), path)}.values())
 
 
-def _load(path: Path) -> dict[str, Any]:
+def _load(path: FilePath) -> dict[str, Any]:
     document = load_toml(path, str(path))
     if (stated := document.pop("format", FORMAT)) != FORMAT:
         raise BadFileError(
@@ -298,7 +302,7 @@ def _load(path: Path) -> dict[str, Any]:
     return document
 
 
-def _runs(section: object, path: Path) -> list[PlannedRun]:
+def _runs(section: object, path: FilePath) -> list[PlannedRun]:
     if not isinstance(section, list) or not section:
         raise _wrong(path, "runs", section, "one [[runs]] or more")
     runs: list[PlannedRun] = []
@@ -316,7 +320,7 @@ def _runs(section: object, path: Path) -> list[PlannedRun]:
     return runs
 
 
-def _validated(kind: type[_Section], table: object, path: Path, where: str) -> _Section:
+def _validated(kind: type[_Section], table: object, path: FilePath, where: str) -> _Section:
     if not isinstance(table, dict):
         raise _wrong(path, where, table, "a table")
     try:
@@ -330,6 +334,6 @@ def _validated(kind: type[_Section], table: object, path: Path, where: str) -> _
         raise _wrong(path, column, first["input"], known or first["msg"].removeprefix("Input should be ")) from error
 
 
-def _wrong(path: Path, column: str, found: object, expected: str) -> BadFileError:
+def _wrong(path: FilePath, column: str, found: object, expected: str) -> BadFileError:
     shown = str(found).lower() if isinstance(found, bool) else repr(found)
     return BadFileError(path, column=column, found=shown[:60], expected=expected, remedy="correct the plan")

@@ -53,7 +53,7 @@ class PlannedRun:
 
     kind: str  #: a route; see `route_of`
     direction: str = ""  #: ``out``, ``back`` or empty
-    session: str = "next"
+    session: str = field(default="next", metadata={"json": False})
     payload_kg: float = 0.0
     payload_x_m: float = 0.0
     payload_y_m: float = 0.0
