@@ -64,9 +64,8 @@ def proposed(
     from calib.gap.plan.next_runs import next_runs, with_next
 
     full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
-    ties = open_questions(full)
-    known = campaign, full.effects, full.noise, ties, full.fitted
-    runs = next_runs(*known, apart_on=partial(apart_on, full.arrays), candidates=among, most=most)
+    apart, known = partial(apart_on, full.arrays), (campaign, full.effects, full.noise, open_questions(full))
+    runs = next_runs(*known, apart_on=apart, candidates=among, most=most)
     with suppress(CalibError):
         from calib.kinematics.assemble import Promise
         from calib.kinematics.estimate import estimate_geometry

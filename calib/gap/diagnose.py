@@ -148,9 +148,8 @@ def diagnose_in_full(
     from calib.gap.plan.next_runs import next_runs
 
     progress(0, 0, "next runs")
-    ties, on = open_questions(diagnosis), partial(apart_on, evidence)
-    believed = replace(campaign, model=model or campaign.model)
-    return replace(diagnosis, next_runs=tuple(next_runs(believed, effects, noise, ties, fitted, apart_on=on)))
+    known = replace(campaign, model=model or campaign.model), effects, noise, open_questions(diagnosis)
+    return replace(diagnosis, next_runs=tuple(next_runs(*known, apart_on=partial(apart_on, evidence))))
 
 
 def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: SearchResult) -> bool:

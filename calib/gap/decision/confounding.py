@@ -20,7 +20,7 @@ from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import PRIOR_SHIFT_ODDS
 from calib.gap.observations.arrays import POSE
-from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of, fitted_sizes
+from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of, sizes_on
 from calib.gap.predict import Path, predict
 from calib.types import FloatArray
 
@@ -58,11 +58,10 @@ def groups_of(evidence: Evidence) -> list[list[str]]:
     """Return the group that each named effect is confounded with (itself first, then the nearest)."""
     groups = []
     for named, near in distances_of(evidence):
-        likely: Collection[str] = ()
+        likely = evidence.recalibration.instead.get(named[0], ()) if len(named) == 1 else ()
         if named[0] in evidence.search.effects:
-            likely = {*_as_likely(evidence, named[0]), *_other_laws(evidence, named[0])}.difference(evidence.named)
-        elif len(named) == 1:
-            likely = evidence.recalibration.instead.get(named[0], ())
+            every = (*_as_likely(evidence, named[0]), *_other_laws(evidence, named[0]))
+            likely = tuple(name for name in every if name not in evidence.named)
         near |= {name: SEPARATION_SD for name in likely if name not in near}
         groups.append([*named, *sorted(near, key=near.__getitem__)])
     return groups
@@ -81,9 +80,9 @@ def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Dist
     def near(
         names: Sequence[str], others: Sequence[FloatArray], forms: Mapping[str, Sequence[Form]], by: float = 1.0
     ) -> dict[str, float]:
-        nuisance = Nuisance.of(np.concatenate([*free, *others], axis=1))
-        contribution = evidence.calibration_contribution(names) / by
-        return aliases_of(system, nuisance, contribution, forms, evidence.named, within)
+        numbers, nuisance = [NAMES.index(name) for name in names], Nuisance.of(np.concatenate([*free, *others], axis=1))
+        does = evidence.per_unit @ DIRECTIONS[numbers].T @ evidence.recalibration.values[numbers] / by
+        return aliases_of(system, nuisance, does, forms, evidence.named, within)
 
     if evidence.unaided_scale and set(off).issuperset(SCALED[:2]):
         ratio = [evidence.per_unit @ DIRECTIONS[[NAMES.index(name)]].T for name in off if name not in SCALED]
@@ -139,9 +138,8 @@ def apart_on(
     wanted = {*among, *evidence.named, *NAMES}
     effects = {name: effect for name, effect in evidence.effects.items() if name in wanted}
     forms = {name: effect.forms(path.s) for name, effect in effects.items() if not effect.calibration}
-    sizes = fitted_sizes(path.s, [*effects.values()], evidence.fitted)
-    here = [size for name, size in sizes.items() if name in forms]
-    fitted = replace(evidence.fitted, path=path, forms=tuple(f for f, _ in here), theta=tuple(t for _, t in here))
+    here, sizes = list(zip(*sizes_on(forms, evidence.fitted), strict=True)) or ((), ())
+    fitted = replace(evidence.fitted, path=path, forms=here, theta=sizes)
     search = replace(evidence.search, fitted=fitted, forms=forms)
     there = replace(evidence, nominal=path, noise=noise, effects=effects, search=search)
     whole = there.system

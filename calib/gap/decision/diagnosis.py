@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -16,7 +16,7 @@ from calib.gap.decision.held_out import Closure, HeldOut, Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder import Blunder
-from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed
+from calib.gap.effects.radii import AnySpeed
 from calib.gap.effects.reference import ReferenceScale, TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
@@ -125,13 +125,8 @@ class Evidence:
     @cached_property
     def own_forms(self) -> dict[str, list[Form]]:
         """Forms of the calibration's parameters, and of radii by any law of the speed."""
-        own = [effect for effect in self.effects.values() if effect.calibration]
-        return {effect.id: effect.forms(self.observations) for effect in (*own, AnySpeed())}
-
-    def calibration_contribution(self, names: Sequence[str]) -> FloatArray:
-        """Return the whitened effect of calibration parameters at their fitted sizes, (n_rows,)."""
-        numbers = [NAMES.index(name) for name in names]
-        return np.asarray(self.per_unit @ DIRECTIONS[numbers].T @ self.recalibration.values[numbers])
+        own = (*(effect for effect in self.effects.values() if effect.calibration), AnySpeed())
+        return {effect.id: effect.forms(self.observations) for effect in own}
 
     @cached_property
     def explained_share(self) -> tuple[float, float]:
@@ -255,9 +250,7 @@ class NoiseSummary:
     @classmethod
     def about(cls, noise: Noise) -> NoiseSummary:
         """Return the summary of a noise model."""
-        excess = {
-            channel.label: float(noise.excess[channel]) for channel in Channel if np.isfinite(noise.excess[channel])
-        }
+        excess = {channel.label: float(x) for channel in Channel if np.isfinite(x := noise.excess[channel])}
         return cls(noise.dof, noise.scales, noise.supported, noise.support, excess, noise.finding)
 
 
@@ -304,9 +297,9 @@ class Diagnosis(Result):
     @property
     def arrays(self) -> Evidence:
         """What was weighed."""
-        if self.evidence is None:
-            raise ValueError("this diagnosis has no arrays: it does not come from a campaign")
-        return self.evidence
+        if self.evidence is not None:
+            return self.evidence
+        raise ValueError("this diagnosis has no arrays: it does not come from a campaign")
 
     @property
     def observations(self) -> Observations:

@@ -12,13 +12,11 @@ from calib.campaign.model import Campaign
 from calib.documents import plain_fields
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import library, matching_form
-from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, signature_columns, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.marginal_likelihood import Nuisance, project
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.noise_components import COMPONENTS, kernels, masked, quantisation
-from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.types import BoolArray, FloatArray, IntArray, Progress, silent, stepped
@@ -39,8 +37,6 @@ ENOUGH_SD: Final = 2.0 * SEPARATION_SD
 CAP_SD: Final = 4.0 * SEPARATION_SD
 #: smallest gain worth naming, in standard deviations
 NOTEWORTHY_SD: Final = 0.05
-#: candidates weighed at once
-AT_ONCE: Final = 16
 
 
 #: how often each observation is made (n_obs,) -> causes that are named together, and how far each effect is
@@ -90,48 +86,31 @@ def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
     return Noise(masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
 
 
-def fitted_sizes(
-    observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
-) -> dict[str, tuple[Form, FloatArray]]:
-    """Return form and size of fitted effects on observations, and of radii and track."""
-    sizes: dict[str, tuple[Form, FloatArray]] = {}
-    if fitted is None:
-        return sizes
-    wanted = {*NAMES, *(form.effect for form in fitted.forms)}
-    forms = {effect.id: effect.forms(observations) for effect in effects if effect.id in wanted}
+def sizes_on(offered: Mapping[str, Sequence[Form]], fitted: Fitted) -> list[tuple[Form, FloatArray]]:
+    """Return the forms of a fit, as they are on other runs with forms on offer there, and their sizes."""
+    sizes = []
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        offered = forms.get(form.effect, [])
+        forms = offered.get(form.effect, ())
         # further routes may part what was one form
-        alike = [each for each in offered if len(each.parameters) == len(form.parameters)]
-        if here := matching_form(offered, form.label, form.settings) or next(iter(alike), None):
+        alike = [each for each in forms if len(each.parameters) == len(form.parameters)]
+        if here := matching_form(forms, form.label, form.settings) or next(iter(alike), None):
             known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
-            sizes[form.effect] = here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])
-    for name, size in zip(NAMES, np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3]), strict=True):
-        if forms.get(name) and abs(size) > 1e-12:
-            sizes[name] = forms[name][0], np.array([size])
+            sizes.append((here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])))
     return sizes
 
 
 class Signatures:
     """Whitened signatures of a library on observations, and their distances on any of these.
 
-    `path`: about which to linearise; `sizes`: form and size of fitted effects; others have typical size, in the form of
-    the strongest signal.
+    `path`: about which to linearise. Effects have typical size, in the form of the strongest signal.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        noise: Noise,
-        effects: Sequence[Effect],
-        sizes: Mapping[str, tuple[Form, FloatArray]] | None = None,
-    ) -> None:
-        fitted = sizes or {}
+    def __init__(self, path: Path, noise: Noise, effects: Sequence[Effect]) -> None:
         self.offered = {effect.id: effect.forms(path.s) for effect in effects}
         present = [effect for effect in effects if self.offered[effect.id]]
         self.names = [effect.id for effect in present]
         self.own_calibration = np.array([effect.calibration for effect in present], dtype=bool)
-        every = [form for forms in self.offered.values() for form in forms] + [form for form, _ in fitted.values()]
+        every = [form for forms in self.offered.values() for form in forms]
         known = {id(form): columns for form, columns in zip(every, signature_columns(path, every), strict=True)}
         blocks, truths = [path.calibration * CALIBRATION_SD], []
         calibration = whitened_rows(path, noise, blocks[0])
@@ -149,9 +128,6 @@ class Signatures:
                 self.forms.append((number, position, position + columns.shape[2]))
                 position += columns.shape[2]
                 trials.append(columns @ np.resize(np.array(_PROPORTIONS), columns.shape[2]))
-            if effect.id in fitted:
-                form, theta = fitted[effect.id]
-                trials = [known[id(form)] @ (theta / form.typical)]
             free = calibration[:, 3:] if effect.calibration else calibration
             residual = project(Nuisance.of(free), whitened_rows(path, noise, np.stack(trials, axis=2)))
             truths.append(trials[int(np.argmax((residual**2).sum(axis=0)))])
@@ -377,11 +353,10 @@ def untied(signatures: Signatures, number: IntArray, counts: IntArray) -> Task:
     grams = {n: signatures.gram(number == n) * (counts[n] if n >= 0 else 1) for n in set(number.tolist())}
 
     def of(sets: Sequence[Sequence[int]]) -> FloatArray:
-        parts = []
-        for some in (sets[first : first + AT_ONCE] for first in range(0, len(sets), AT_ONCE)):
-            gram = np.stack([np.sum([grams[n] for n in (-1, *chosen) if n in grams], axis=0) for chosen in some])
-            signal, distance = signatures.distances(gram)
-            parts.append(np.minimum(signal, distance.min(axis=-1, initial=np.inf)))
-        return np.concatenate(parts)
+        return np.stack([one(np.sum([grams[n] for n in (-1, *chosen) if n in grams], axis=0)) for chosen in sets])
+
+    def one(gram: FloatArray) -> FloatArray:
+        signal, distance = signatures.distances(gram)
+        return np.asarray(np.minimum(signal, distance.min(axis=-1, initial=np.inf)))
 
     return Task(of, signatures.names, tied=False)

@@ -14,14 +14,14 @@ from calib.campaign.checks.design import FEWEST_OF_A_LAW, columns_as_one, sessio
 from calib.campaign.model import Campaign
 from calib.campaign.read import CLOSED, GYRO_TURN
 from calib.campaign.settings_file import load_toml, parse_settings
+from calib.coefficients.sections import first_fault
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.reference import ReferenceScale
-from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan import planned_runs
-from calib.gap.plan.identifiability import ENOUGH_SD, Apart, Signatures, fitted_sizes, noise_at, tied, untied
+from calib.gap.plan.identifiability import ENOUGH_SD, Apart, Signatures, noise_at, tied, untied
 from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, drive, joined, route_of
 from calib.gap.predict import Path, predict
 
@@ -38,7 +38,6 @@ def next_runs(
     effects: Sequence[Effect],
     noise: Noise,
     ties: Sequence[Sequence[str]] = (),
-    fitted: Fitted | None = None,
     *,
     apart_on: Callable[[Path, Noise, Collection[str]], Apart] | None = None,
     candidates: Sequence[PlannedRun] | None = None,
@@ -47,17 +46,14 @@ def next_runs(
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
     The runs are driven in one session, those at another temperature in one of their own, and those of a route that was
-    not repeated so far `REPEATS` times. An unladen corridor run comes first where the others tell less without it. Each
-    greedy step takes the run after which the two nearest confounded effects are furthest apart, by what the diagnosis
-    groups effects by; runs without which as many are told apart are left out. Where none are confounded, it is the run
-    after which most effects of the library are detected and separated. What the law of the load lacks comes after
-    the former and before the latter; first come loads driven one way alone, and a length beside a reference that alone
-    measures any.
+    not repeated so far `REPEATS` times; an unladen corridor run comes first where the others tell less without it. Each
+    step takes the run after which the two nearest confounded effects are furthest apart, as the diagnosis groups them,
+    else most effects of the library are; runs without which as many are told apart are omitted. What the law of the
+    load lacks is added, and loads driven one way alone.
 
     `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
-    effects; `fitted`: gives sizes, typical for others; `apart_on`: how far the diagnosis takes effects to be from the
-    named ones on other runs, for `ties`; `candidates`: see `default_candidates`; `most`: runs to recommend, beside the
-    unladen one.
+    effects; `apart_on`: how far those are on other runs; `candidates`: see `default_candidates`; `most`: runs to
+    recommend, beside the unladen one.
     """
     driven = campaign.included()
     measured = _measured(driven)
@@ -77,8 +73,7 @@ def next_runs(
     if ties and apart_on is not None:
         task = tied(apart_on(path, noise, {name for tie in ties for name in tie}), number, counts, ties)
     if task is None or not task.names:
-        sizes = fitted_sizes(observations, effects, fitted)
-        task = untied(Signatures(path, noise, effects, sizes), number, counts)
+        task = untied(Signatures(path, noise, effects), number, counts)
     taped = any(ReferenceScale.id in tie for tie in ties) and not measured.distance
     # what 'calib fit' lacks follows the runs that tell confounded effects
     law = _of_law(driven, runs)
@@ -207,6 +202,7 @@ def _corridor_m(campaign: Campaign) -> float:
 
 
 FORMAT: Final = "calib-plan/1"
+_REMEDY: Final = "correct the plan"
 #: sensors that drive the odometry without rear encoders -> what only a log has
 _IN_LOG_ONLY: Final = {
     "front": "the front wheel and its angle",
@@ -326,14 +322,10 @@ def _validated(kind: type[_Section], table: object, path: FilePath, where: str) 
     try:
         return kind.model_validate(table)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        column = ".".join([where, *(str(part) for part in first["loc"])])
-        if first["type"] == "missing":
-            raise _wrong(path, column, None, "a value") from error
-        known = f"one of {', '.join(kind.model_fields)}" if first["type"] == "extra_forbidden" else ""
-        raise _wrong(path, column, first["input"], known or first["msg"].removeprefix("Input should be ")) from error
+        part, found, expected = first_fault(error)
+        raise BadFileError(path, found[:60], expected, _REMEDY, column=f"{where}.{part}") from error
 
 
 def _wrong(path: FilePath, column: str, found: object, expected: str) -> BadFileError:
     shown = str(found).lower() if isinstance(found, bool) else repr(found)
-    return BadFileError(path, column=column, found=shown[:60], expected=expected, remedy="correct the plan")
+    return BadFileError(path, column=column, found=shown[:60], expected=expected, remedy=_REMEDY)
