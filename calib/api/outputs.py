@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,13 +58,14 @@ def proposed(
     campaign: Campaign, *, among: Sequence[PlannedRun] | None = None, most: int, seed: int, progress: Progress = silent
 ) -> Plan:
     """Return the plan, see `plan`; `among`: runs to choose from, else the usual ones."""
+    from calib.gap.decision.confounding import apart_on
     from calib.gap.decision.kind import open_questions
     from calib.gap.diagnose import diagnose_in_full
     from calib.gap.plan.next_runs import next_runs, with_next
 
     full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
-    ties = open_questions(full)
-    runs = next_runs(campaign, full.effects, full.noise, ties, full.fitted, candidates=among, most=most)
+    apart, known = partial(apart_on, full.arrays), (campaign, full.effects, full.noise, open_questions(full))
+    runs = next_runs(*known, apart_on=apart, candidates=among, most=most)
     with suppress(CalibError):
         from calib.kinematics.assemble import Promise
         from calib.kinematics.estimate import estimate_geometry

@@ -158,6 +158,7 @@ def first_fault(error: ValidationError) -> tuple[str, str, str]:
     expected = re.sub("^(Value error, |.* should (be|have) )", "", first["msg"])
     if first["type"] == "missing":
         found, expected = "nothing", "a value"
+    expected = "no such key" if first["type"] == "extra_forbidden" else expected
     return ".".join(str(part) for part in first["loc"]), found, expected
 
 

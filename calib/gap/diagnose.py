@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Final
@@ -14,6 +15,7 @@ from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.errors import BadInputError, RefusedError
+from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
@@ -146,8 +148,8 @@ def diagnose_in_full(
     from calib.gap.plan.next_runs import next_runs
 
     progress(0, 0, "next runs")
-    ties = open_questions(diagnosis)
-    return replace(diagnosis, next_runs=tuple(next_runs(campaign, effects, noise, ties, fitted, model=model)))
+    known = replace(campaign, model=model or campaign.model), effects, noise, open_questions(diagnosis)
+    return replace(diagnosis, next_runs=tuple(next_runs(*known, apart_on=partial(apart_on, evidence))))
 
 
 def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: SearchResult) -> bool:

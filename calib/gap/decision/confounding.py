@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.diagnosis import Cause, Evidence
-from calib.gap.decision.kind import SMALL_SHARE
+from calib.gap.decision.diagnosis import Evidence
 from calib.gap.effects.effect import Family, Form
 from calib.gap.effects.library import applied_perturbations, section_of
-from calib.gap.effects.radii import DIRECTIONS, NAMES, AnySpeed, RadiusScale, SpeedRadius, TrackWidth
+from calib.gap.effects.radii import DIRECTIONS, NAMES, RadiusScale, SpeedRadius, TrackWidth
 from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference.fit import CALIBRATION_SD, calibration_pushes, hypothesis_path
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
+from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import PRIOR_SHIFT_ODDS
 from calib.gap.observations.arrays import POSE
-from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of
-from calib.gap.predict import predict
+from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of, sizes_on
+from calib.gap.predict import Path, predict
 from calib.types import FloatArray
 
 #: log evidence within which hypotheses are not separated: a factor of ten
@@ -36,6 +36,8 @@ SCALED: Final = (RadiusScale.id, TrackWidth.id, ReferenceScale.id)
 CALIBRATION_ODDS: Final = 5.0
 #: above this the search weighed an effect with the calibration
 WEIGHED_PROBABILITY: Final = 0.01
+#: named causes, and how far from them each effect is
+Distances = tuple[tuple[str, ...], dict[str, float]]
 #: smallest probability that is listed
 LISTED_PROBABILITY: Final = 1e-4
 #: probability by the model, and the share of such statements that held: a monotone map learnt by
@@ -54,75 +56,111 @@ def calibrated(probability: float) -> float:
 
 def groups_of(evidence: Evidence) -> list[list[str]]:
     """Return the group that each named effect is confounded with (itself first, then the nearest)."""
-    groups = _groups_of_effects(evidence)
-    fitted, system, calibration = evidence.fitted, evidence.system, evidence.calibration
+    groups = []
+    for named, near in distances_of(evidence):
+        likely = evidence.recalibration.instead.get(named[0], ()) if len(named) == 1 else ()
+        if named[0] in evidence.search.effects:
+            every = (*_as_likely(evidence, named[0]), *_other_laws(evidence, named[0]))
+            likely = tuple(name for name in every if name not in evidence.named)
+        near |= {name: SEPARATION_SD for name in likely if name not in near}
+        groups.append([*named, *sorted(near, key=near.__getitem__)])
+    return groups
+
+
+def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Distances]:
+    """Return the effects `within` so many standard deviations of each named one; of radii and track together first.
+
+    Where they are confounded together, each for itself is not asked for.
+    """
+    fitted, system, off = evidence.fitted, evidence.system, evidence.calibration
+    found = [_of_effect(evidence, number, within) for number in range(len(fitted.forms))]
     forms = evidence.search.forms
     free = [system.calibration[:, 3:], *(OTHER_EFFECTS_SD * system.columns(form) for form in fitted.forms)]
-    if evidence.unaided_scale and set(calibration).issuperset(SCALED[:2]):
-        ratio = [evidence.per_unit @ DIRECTIONS[[NAMES.index(name)]].T for name in calibration if name not in SCALED]
-        nuisance = Nuisance.of(np.concatenate([*free, *(CALIBRATION_SD[0] * column for column in ratio)], axis=1))
-        both = evidence.calibration_contribution(SCALED[:2]) / np.sqrt(evidence.variance_factor)
-        near = aliases_of(system, nuisance, both, forms | evidence.unaided_scale, evidence.named)
-        if near.pop(ReferenceScale.id, None) is not None:
-            groups.append([*SCALED, *sorted(near, key=near.__getitem__)])
-            calibration = tuple(name for name in calibration if name not in SCALED)
-    if len(calibration) > 1:
+
+    def near(
+        names: Sequence[str], others: Sequence[FloatArray], forms: Mapping[str, Sequence[Form]], by: float = 1.0
+    ) -> dict[str, float]:
+        numbers, nuisance = [NAMES.index(name) for name in names], Nuisance.of(np.concatenate([*free, *others], axis=1))
+        does = evidence.per_unit @ DIRECTIONS[numbers].T @ evidence.recalibration.values[numbers] / by
+        return aliases_of(system, nuisance, does, forms, evidence.named, within)
+
+    if evidence.unaided_scale and set(off).issuperset(SCALED[:2]):
+        ratio = [evidence.per_unit @ DIRECTIONS[[NAMES.index(name)]].T for name in off if name not in SCALED]
+        others, by = [CALIBRATION_SD[0] * column for column in ratio], float(np.sqrt(evidence.variance_factor))
+        alike = near(SCALED[:2], others, forms | evidence.unaided_scale, by)
+        if alike.pop(ReferenceScale.id, np.inf) < SEPARATION_SD:
+            found.append((SCALED, alike))
+            off = tuple(name for name in off if name not in SCALED)
+    if len(off) > 1:
         # one cause may look like two parameters off (counts lost on one wheel)
-        nuisance = Nuisance.of(np.concatenate(free, axis=1))
-        near = aliases_of(system, nuisance, evidence.calibration_contribution(calibration), forms, evidence.named)
-        if near:
-            return [*groups, [*calibration, *sorted(near, key=near.__getitem__)]]
-    own = {name: effect.forms(evidence.observations) for name, effect in evidence.effects.items() if effect.calibration}
-    for name in calibration:
+        together = near(off, [], forms)
+        if min(together.values(), default=np.inf) < SEPARATION_SD:
+            return [*found, (off, together)]
+        found += [(off, together)] * bool(together)
+    for name in off:
         others = []
         for other, direction in zip(NAMES, DIRECTIONS, strict=True):
             if other != name:
                 column = (evidence.per_unit @ direction)[:, None]
                 # what is not off may be off by what does not show
                 undetected = SEPARATION_SD / max(float(np.linalg.norm(column)), 1e-12)
-                others.append(column * (CALIBRATION_SD[0] if other in calibration else undetected))
-        nuisance = Nuisance.of(np.concatenate([*free, *others], axis=1))
-        near = aliases_of(system, nuisance, evidence.calibration_contribution([name]), forms | own, evidence.named)
-        instead = [alias for alias in evidence.recalibration.instead.get(name, ()) if alias not in near]
-        groups.append([name, *sorted(near, key=near.__getitem__), *instead])
-    return groups
+                others.append(column * (CALIBRATION_SD[0] if other in off else undetected))
+        own = {other: each for other, each in evidence.own_forms.items() if other in NAMES}
+        found.append(((name,), near([name], others, forms | own)))
+    return found
 
 
-def _groups_of_effects(evidence: Evidence) -> list[list[str]]:
+def _of_effect(evidence: Evidence, number: int, within: float) -> Distances:
     fitted, system = evidence.fitted, evidence.system
-    groups = []
-    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        others = [OTHER_EFFECTS_SD * system.columns(other) for other in fitted.forms if other is not form]
-        contribution = np.asarray(system.columns(form) @ (theta / form.typical))
-        absorbing = _absorbing(evidence, contribution)
-        near = dict.fromkeys(absorbing, 0.0)
-        for held in (False, True):
-            calibration = _undetected(evidence) if held else system.calibration
-            own = bool(absorbing) or evidence.effects[form.effect].needs_calibration
-            compared = {
-                name: forms
-                for name, forms in evidence.search.forms.items()
-                if held == (own or evidence.effects[name].needs_calibration)
-            }
-            nuisance = Nuisance.of(np.concatenate([calibration, *others], axis=1))
-            if SpeedRadius.id in compared and evidence.effects[form.effect].family is Family.DIRECTION:
-                compared = compared | {SpeedRadius.id: AnySpeed().forms(evidence.observations)}
-            near |= aliases_of(system, nuisance, contribution, compared, evidence.named)
-        for name in (*_as_likely(evidence, form.effect), *_other_laws(evidence, form.effect)):
-            if name not in evidence.named:
-                near.setdefault(name, SEPARATION_SD)
-        groups.append([form.effect, *sorted(near, key=near.__getitem__)])
-    return groups
+    form, theta = fitted.forms[number], fitted.theta[number]
+    others = [OTHER_EFFECTS_SD * system.columns(other) for other in fitted.forms if other is not form]
+    contribution = np.asarray(system.columns(form) @ (theta / form.typical))
+    near = _absorbing(evidence, contribution, within)
+    own = min(near.values(), default=np.inf) < SEPARATION_SD or evidence.effects[form.effect].needs_calibration
+    for held in (False, True):
+        calibration = _undetected(evidence) if held else system.calibration
+        compared = {
+            name: forms
+            for name, forms in evidence.search.forms.items()
+            if held == (own or evidence.effects[name].needs_calibration)
+        }
+        nuisance = Nuisance.of(np.concatenate([calibration, *others], axis=1))
+        if SpeedRadius.id in compared and evidence.effects[form.effect].family is Family.DIRECTION:
+            compared[SpeedRadius.id] = evidence.own_forms[SpeedRadius.id]
+        near |= aliases_of(system, nuisance, contribution, compared, evidence.named, within)
+    return (form.effect,), near
 
 
-def _absorbing(evidence: Evidence, contribution: FloatArray) -> list[str]:
-    """Return the recalibration parameters that absorb a contribution (n_rows,)."""
+def apart_on(
+    evidence: Evidence, path: Path, noise: Noise, among: Collection[str]
+) -> Callable[[FloatArray], list[Distances]]:
+    """Return how far some effects are from the named ones if each of other runs is made so often, (n_obs,)."""
+    wanted = {*among, *evidence.named, *NAMES}
+    effects = {name: effect for name, effect in evidence.effects.items() if name in wanted}
+    forms = {name: effect.forms(path.s) for name, effect in effects.items() if not effect.calibration}
+    here, sizes = list(zip(*sizes_on(forms, evidence.fitted), strict=True)) or ((), ())
+    fitted = replace(evidence.fitted, path=path, forms=here, theta=sizes)
+    search = replace(evidence.search, fitted=fitted, forms=forms)
+    there = replace(evidence, nominal=path, noise=noise, effects=effects, search=search)
+    whole = there.system
+
+    def distances(times: FloatArray) -> list[Distances]:
+        vars(there).pop("per_unit", None)
+        vars(there)["system"] = whole.repeated(times)
+        return distances_of(there, np.inf)
+
+    return distances
+
+
+def _absorbing(evidence: Evidence, contribution: FloatArray, within: float) -> dict[str, float]:
+    """Return the recalibration parameters that absorb a contribution (n_rows,), and what they leave."""
     left = Nuisance.of(evidence.system.calibration).scalar(contribution[:, None], contribution[:, None])[0, 0]
-    if not left < SEPARATION_SD**2 < contribution @ contribution:
-        return []
+    if not (left < within**2 and contribution @ contribution > SEPARATION_SD**2):
+        return {}
     columns = evidence.per_unit @ DIRECTIONS.T
     sizes = np.linalg.lstsq(columns, contribution)[0] * np.linalg.norm(columns, axis=0)
-    return [name for name, size in zip(NAMES, sizes.tolist(), strict=True) if abs(size) > SEPARATION_SD]
+    left_sd = float(np.sqrt(left)) if left > SEPARATION_SD**2 else 0.0
+    return {name: left_sd for name, size in zip(NAMES, sizes.tolist(), strict=True) if abs(size) > SEPARATION_SD}
 
 
 def _undetected(evidence: Evidence) -> FloatArray:
@@ -228,20 +266,22 @@ def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | 
     return max(distances, default=None)
 
 
-def _is_recalibrated(evidence: Evidence, name: str) -> bool:
+def is_recalibrated(evidence: Evidence, name: str) -> bool:
+    """Return whether an effect is a calibration parameter."""
     return name in evidence.effects and evidence.effects[name].calibration
 
 
 def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> _Correction | None:
     kept = [form for form in evidence.fitted.forms if form.effect not in named]
     offered = (evidence.search.forms | evidence.unaided_scale).get(other, ())
-    candidates = [kept] if _is_recalibrated(evidence, other) else [[*kept, form] for form in offered]
-    fixed = [NAMES.index(name) for name in named if _is_recalibrated(evidence, name)]
-    refitted = [_refitted(evidence, forms, fixed) for forms in candidates]
-    return min(refitted, key=lambda tried: tried[0])[1] if refitted else None
+    candidates = [kept] if is_recalibrated(evidence, other) else [[*kept, form] for form in offered]
+    fixed = [NAMES.index(name) for name in named if is_recalibrated(evidence, name)]
+    tried = [refitted(evidence, forms, fixed) for forms in candidates]
+    return min(tried, key=lambda each: each[0])[1] if tried else None
 
 
-def _refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -> tuple[float, _Correction]:
+def refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -> tuple[float, _Correction]:
+    """Return the whitened square that some forms leave, calibration parameters but `fixed` free, and their sizes."""
     fitted = evidence.fitted
     every = [*fitted.forms, *(form for form in forms if all(form is not own for own in fitted.forms))]
     system = LinearSystem(fitted, evidence.nominal, evidence.noise, every)
@@ -259,50 +299,6 @@ def _refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -
     return float(residual @ residual), _Correction(change, forms, theta)
 
 
-def form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
-    """Return the causes whose part a second form of a larger cause explains as well.
-
-    No form is exact: a play or time constant between two on offer, or a share that grows faster than linearly, leaves
-    what looks like a smaller cause. A form that acts the other way is no error of the fitted one (counts that both
-    wheels lose are a radius that follows the speed), nor is a cause of its family: the straight part of a law of the
-    load belongs to its correction.
-    """
-    if len(causes) < 2:
-        return ()
-    errors: list[str] = []
-    fitted, window = evidence.fitted, 2.0 * LOG_EVIDENCE_WINDOW
-    fitted_labels = {(form.effect, form.label) for form in fitted.forms}
-    least = _refitted(evidence, fitted.forms, ())[0] + window
-    families = {name: effect.family for name, effect in evidence.effects.items()}
-    for cause in causes:
-        # an error of a form shows less than the form
-        larger = [other for other in causes if other.share > cause.share and other.signal > cause.signal]
-        offered = [(form, other) for other in larger for form in evidence.search.forms.get(other.effect, ())]
-        second = [
-            form
-            for form, other in offered
-            if (form.effect, form.label) not in fitted_labels
-            and (
-                cause.share <= SMALL_SHARE * other.share
-                or not (families[other.effect] == families[cause.effect] or _acts_opposite(evidence, form))
-            )
-        ]
-        kept = [form for form in fitted.forms if form.effect != cause.effect]
-        fixed = [NAMES.index(cause.effect)] if _is_recalibrated(evidence, cause.effect) else []
-        if any(_refitted(evidence, [*kept, form], fixed)[0] + 2.0 * np.log(form.tries) < least for form in second):
-            errors.append(cause.effect)
-    return tuple(errors)
-
-
-def _acts_opposite(evidence: Evidence, form: Form) -> bool:
-    fitted, system = evidence.fitted, evidence.system
-    for own, theta in zip(fitted.forms, fitted.theta, strict=True):
-        if own.effect == form.effect and len(own.parameters) == len(form.parameters):
-            acting = [(system.columns(each) @ (theta / own.typical))[:, None] for each in (own, form)]
-            return float(Nuisance.of(system.calibration).scalar(*acting)[0, 0]) < 0.0
-    return False
-
-
 def gap_probability(evidence: Evidence) -> float:
     """Return the probability of any gap: an effect, a calibration parameter, an unexplained residual."""
     recalibration = evidence.recalibration
@@ -317,7 +313,7 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
     """
     listed = {name: calibrated(p) for name, p in evidence.search.inclusion().items()}
     shared = _shared_with_aliases(evidence, groups)
-    for name in (name for name in NAMES if _is_recalibrated(evidence, name)):
+    for name in (name for name in NAMES if is_recalibrated(evidence, name)):
         probability = calibrated(evidence.recalibration.probability(name))
         shares = shared.get(name, {})
         listed[name] = probability * (1.0 - sum(shares.values()))

@@ -27,9 +27,11 @@ from calib.gap.decision.kind import (
 )
 from calib.gap.decision.part import as_delivered, is_named_beside, moved, sure_part
 from calib.gap.decision.trials import FALSE_ALARM, most_square, reach_of_noise
-from calib.gap.effects.effect import Family
+from calib.gap.effects.effect import Family, Form
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
+from calib.gap.effects.radii import NAMES
 from calib.gap.inference.local_search import EVEN_PROBABILITY
+from calib.gap.inference.marginal_likelihood import Nuisance
 
 #: verdicts that name no cause
 NO_GAP_SHOWN: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNDECIDED})
@@ -233,7 +235,53 @@ def _kind(
 def _small(evidence: Evidence, causes: Sequence[Cause], probable: set[str]) -> tuple[str, ...]:
     small = naming.negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
     others = [cause for cause in causes if cause.effect in probable.difference(small)]
-    return small + confounding.form_errors(evidence, others)
+    return small + _form_errors(evidence, others)
+
+
+def _form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
+    """Return the causes whose part a second form of a larger cause explains as well.
+
+    No form is exact: a play between two on offer leaves what looks like a smaller cause. A form that acts the other way
+    is no error of the fitted one (counts that both wheels lose are a radius that follows the speed), nor is a cause of
+    its family: the straight part of a law of the load belongs to its correction.
+    """
+    if len(causes) < 2:
+        return ()
+    errors: list[str] = []
+    fitted, window = evidence.fitted, 2.0 * confounding.LOG_EVIDENCE_WINDOW
+    fitted_labels = {(form.effect, form.label) for form in fitted.forms}
+    least = confounding.refitted(evidence, fitted.forms, ())[0] + window
+    families = {name: effect.family for name, effect in evidence.effects.items()}
+    for cause in causes:
+        # an error of a form shows less than the form
+        larger = [other for other in causes if other.share > cause.share and other.signal > cause.signal]
+        offered = [(form, other) for other in larger for form in evidence.search.forms.get(other.effect, ())]
+        second = [
+            form
+            for form, other in offered
+            if (form.effect, form.label) not in fitted_labels
+            and (
+                cause.share <= SMALL_SHARE * other.share
+                or not (families[other.effect] == families[cause.effect] or _acts_opposite(evidence, form))
+            )
+        ]
+        kept = [form for form in fitted.forms if form.effect != cause.effect]
+        fixed = [NAMES.index(cause.effect)] if confounding.is_recalibrated(evidence, cause.effect) else []
+        if any(
+            confounding.refitted(evidence, [*kept, form], fixed)[0] + 2.0 * np.log(form.tries) < least
+            for form in second
+        ):
+            errors.append(cause.effect)
+    return tuple(errors)
+
+
+def _acts_opposite(evidence: Evidence, form: Form) -> bool:
+    fitted, system = evidence.fitted, evidence.system
+    for own, theta in zip(fitted.forms, fitted.theta, strict=True):
+        if own.effect == form.effect and len(own.parameters) == len(form.parameters):
+            acting = [(system.columns(each) @ (theta / own.typical))[:, None] for each in (own, form)]
+            return float(Nuisance.of(system.calibration).scalar(*acting)[0, 0]) < 0.0
+    return False
 
 
 def _on_small(small: Sequence[str]) -> tuple[str, ...]:

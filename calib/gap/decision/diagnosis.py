@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
@@ -16,7 +16,7 @@ from calib.gap.decision.held_out import Closure, HeldOut, Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder import Blunder
-from calib.gap.effects.radii import DIRECTIONS, NAMES
+from calib.gap.effects.radii import AnySpeed
 from calib.gap.effects.reference import ReferenceScale, TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
@@ -122,10 +122,11 @@ class Evidence:
         """Calibration parameters' whitened effect per relative change, (n_rows, 4)."""
         return np.asarray(self.system.calibration / CALIBRATION_SD)
 
-    def calibration_contribution(self, names: Sequence[str]) -> FloatArray:
-        """Return the whitened effect of calibration parameters at their fitted sizes, (n_rows,)."""
-        numbers = [NAMES.index(name) for name in names]
-        return np.asarray(self.per_unit @ DIRECTIONS[numbers].T @ self.recalibration.values[numbers])
+    @cached_property
+    def own_forms(self) -> dict[str, list[Form]]:
+        """Forms of the calibration's parameters, and of radii by any law of the speed."""
+        own = (*(effect for effect in self.effects.values() if effect.calibration), AnySpeed())
+        return {effect.id: effect.forms(self.observations) for effect in own}
 
     @cached_property
     def explained_share(self) -> tuple[float, float]:
@@ -249,9 +250,7 @@ class NoiseSummary:
     @classmethod
     def about(cls, noise: Noise) -> NoiseSummary:
         """Return the summary of a noise model."""
-        excess = {
-            channel.label: float(noise.excess[channel]) for channel in Channel if np.isfinite(noise.excess[channel])
-        }
+        excess = {channel.label: float(x) for channel in Channel if np.isfinite(x := noise.excess[channel])}
         return cls(noise.dof, noise.scales, noise.supported, noise.support, excess, noise.finding)
 
 
@@ -296,30 +295,31 @@ class Diagnosis(Result):
         return self.fix.recommended
 
     @property
-    def _arrays(self) -> Evidence:
-        if self.evidence is None:
-            raise ValueError("this diagnosis has no arrays: it does not come from a campaign")
-        return self.evidence
+    def arrays(self) -> Evidence:
+        """What was weighed."""
+        if self.evidence is not None:
+            return self.evidence
+        raise ValueError("this diagnosis has no arrays: it does not come from a campaign")
 
     @property
     def observations(self) -> Observations:
         """Observations and steps, blunders of counts corrected."""
-        return self._arrays.observations
+        return self.arrays.observations
 
     @property
     def noise(self) -> Noise:
         """Covariance of each observation."""
-        return self._arrays.noise
+        return self.arrays.noise
 
     @property
     def nominal(self) -> Path:
         """The model alone."""
-        return self._arrays.nominal
+        return self.arrays.nominal
 
     @property
     def fitted(self) -> Fitted:
         """The most probable hypothesis, the recalibration free."""
-        return self._arrays.fitted
+        return self.arrays.fitted
 
     @property
     def correction(self) -> Fitted:
@@ -330,18 +330,18 @@ class Diagnosis(Result):
     def corrected_causes(self) -> tuple[Cause, ...]:
         """The named causes that the fix corrects."""
         wanted = self.fix.corrects
-        blunders = {fault.effect.id for fault in self._arrays.situation.faults}
+        blunders = {fault.effect.id for fault in self.arrays.situation.faults}
         return tuple(c for c in self.causes if wanted is None or c.effect in wanted or c.effect in blunders)
 
     @property
     def held_out(self) -> HeldOut:
         """Residuals before and after on held-out runs."""
-        return self._arrays.held_out
+        return self.arrays.held_out
 
     @property
     def effects(self) -> tuple[Effect, ...]:
         """The library that was searched."""
-        return tuple(self._arrays.effects.values())
+        return tuple(self.arrays.effects.values())
 
     @property
     def table(self) -> DataFrame:

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from calib.campaign.model import NUMERIC_COLUMNS
+from calib.coefficients.sections import first_fault
 from calib.errors import BadFileError, BadInputError
 from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Proportional, varies
 from calib.gap.observations.arrays import Observations
@@ -162,14 +163,9 @@ def _validated(table: object, where: str) -> _Entry:
     try:
         return _Entry.model_validate(table)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key, found = ".".join([where, *map(str, first["loc"])]), first["input"]
-        if first["type"] == "extra_forbidden":
-            expected = f"only the keys {', '.join(_Entry.model_fields)}"
-            raise _wrong(where, first["loc"][0], expected, "remove or rename it") from error
-        found = None if first["type"] == "missing" else found
-        expected = first["msg"].removeprefix("Input should be ")
-        raise _wrong(key, found, expected, "give every [[effects]] table its keys; sizes are per unit") from error
+        key, found, expected = first_fault(error)
+        remedy = f"its keys are {', '.join(_Entry.model_fields)}; sizes are per unit"
+        raise BadFileError("campaign.toml", found[:60], expected, remedy, column=f"{where}.{key}") from error
 
 
 def _wrong(key: str, found: object, expected: str, remedy: str) -> BadFileError:

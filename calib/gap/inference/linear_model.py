@@ -160,6 +160,18 @@ class WhitenedSystem:
         self._columns: dict[int, tuple[Form, FloatArray]] = {}
         self._known, self._back = known, None if known is None else np.argsort(known.blocks.order)
 
+    def repeated(self, times: FloatArray) -> WhitenedSystem:
+        """Return the system with each observation made so often, (n_obs,), or not at all."""
+        weight = np.sqrt(times)[np.nonzero(self.path.s.usable)[0], None]
+        rows, some = weight[:, 0] > 0.0, copy(self)
+
+        def made(columns: FloatArray) -> FloatArray:
+            return np.asarray(columns[rows] * weight[rows])
+
+        some.calibration = made(self.calibration)
+        vars(some)["columns"] = lambda form: made(self.columns(form))
+        return some
+
     def columns(self, form: Form) -> FloatArray:
         """Return the whitened signatures of a form in typical sizes, shape (n_rows, n_parameters)."""
         if self._known is not None and any(form is own for own in self._known.forms):

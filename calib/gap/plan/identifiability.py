@@ -12,13 +12,11 @@ from calib.campaign.model import Campaign
 from calib.documents import plain_fields
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.library import library, matching_form
-from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, signature_columns, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.marginal_likelihood import Nuisance, project
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.noise_components import COMPONENTS, kernels, masked, quantisation
-from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict
 from calib.types import BoolArray, FloatArray, IntArray, Progress, silent, stepped
@@ -31,6 +29,18 @@ PLAUSIBLE_FACTOR: Final = 2.0
 DETECTION_SIGNAL: Final = 5.0
 #: share left by a recalibration below which an effect is indistinguishable from it
 ABSORBED_SHARE: Final = 1e-3
+#: effects or pairs named for a run: one line
+MOST_NAMED: Final = 3
+#: twice the separation needed: a margin for other sizes
+ENOUGH_SD: Final = 2.0 * SEPARATION_SD
+#: separation worth no further run
+CAP_SD: Final = 4.0 * SEPARATION_SD
+#: smallest gain worth naming, in standard deviations
+NOTEWORTHY_SD: Final = 0.05
+
+
+#: how often each observation is made (n_obs,) -> causes that are named together, and how far each effect is
+Apart = Callable[[FloatArray], Sequence[tuple[tuple[str, ...], dict[str, float]]]]
 #: proportions of an effect's parameters, unless stated: no two alike
 _PROPORTIONS: Final = (1.0, 0.7, -0.8, 0.9, -0.6, 0.5, -0.7, 0.8)
 
@@ -54,8 +64,9 @@ def aliases_of(
     contribution: FloatArray,
     forms: Mapping[str, Sequence[Form]],
     named: Sequence[str],
+    within: float = SEPARATION_SD,
 ) -> dict[str, float]:
-    """Return effects confounded with a contribution, each with its distance in standard deviations.
+    """Return effects `within` so many standard deviations of a contribution, each with its distance.
 
     `system`, `nuisance`, `contribution`: see `distance`; `forms`: the library on this campaign; `named`: effects of the
     hypothesis, no alternatives.
@@ -65,7 +76,7 @@ def aliases_of(
         for name, offered in forms.items()
         if name not in named
     }
-    return {name: value for name, value in nearest.items() if value < SEPARATION_SD}
+    return {name: value for name, value in nearest.items() if value < within}
 
 
 def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
@@ -75,46 +86,31 @@ def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
     return Noise(masked(covariance, path.s.usable), dict(scales), float("inf"), np.ones(len(path.s)))
 
 
-def fitted_sizes(
-    observations: Observations, effects: Sequence[Effect], fitted: Fitted | None
-) -> dict[str, tuple[Form, FloatArray]]:
-    """Return form and size of fitted effects on observations, and of radii and track."""
-    sizes: dict[str, tuple[Form, FloatArray]] = {}
-    if fitted is None:
-        return sizes
-    wanted = {*NAMES, *(form.effect for form in fitted.forms)}
-    forms = {effect.id: effect.forms(observations) for effect in effects if effect.id in wanted}
+def sizes_on(offered: Mapping[str, Sequence[Form]], fitted: Fitted) -> list[tuple[Form, FloatArray]]:
+    """Return the forms of a fit, as they are on other runs with forms on offer there, and their sizes."""
+    sizes = []
     for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        here = matching_form(forms.get(form.effect, []), form.label, form.settings)
-        if here is not None:
+        forms = offered.get(form.effect, ())
+        # further routes may part what was one form
+        alike = [each for each in forms if len(each.parameters) == len(form.parameters)]
+        if here := matching_form(forms, form.label, form.settings) or next(iter(alike), None):
             known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
-            sizes[form.effect] = here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])
-    for name, size in zip(NAMES, np.linalg.solve(DIRECTIONS[:, :3].T, fitted.calibration[:3]), strict=True):
-        if forms.get(name) and abs(size) > 1e-12:
-            sizes[name] = forms[name][0], np.array([size])
+            sizes.append((here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])))
     return sizes
 
 
 class Signatures:
     """Whitened signatures of a library on observations, and their distances on any of these.
 
-    `path`: about which to linearise; `sizes`: form and size of fitted effects; others have typical size, in the form of
-    the strongest signal.
+    `path`: about which to linearise. Effects have typical size, in the form of the strongest signal.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        noise: Noise,
-        effects: Sequence[Effect],
-        sizes: Mapping[str, tuple[Form, FloatArray]] | None = None,
-    ) -> None:
-        fitted = sizes or {}
+    def __init__(self, path: Path, noise: Noise, effects: Sequence[Effect]) -> None:
         self.offered = {effect.id: effect.forms(path.s) for effect in effects}
         present = [effect for effect in effects if self.offered[effect.id]]
         self.names = [effect.id for effect in present]
         self.own_calibration = np.array([effect.calibration for effect in present], dtype=bool)
-        every = [form for forms in self.offered.values() for form in forms] + [form for form, _ in fitted.values()]
+        every = [form for forms in self.offered.values() for form in forms]
         known = {id(form): columns for form, columns in zip(every, signature_columns(path, every), strict=True)}
         blocks, truths = [path.calibration * CALIBRATION_SD], []
         calibration = whitened_rows(path, noise, blocks[0])
@@ -132,9 +128,6 @@ class Signatures:
                 self.forms.append((number, position, position + columns.shape[2]))
                 position += columns.shape[2]
                 trials.append(columns @ np.resize(np.array(_PROPORTIONS), columns.shape[2]))
-            if effect.id in fitted:
-                form, theta = fitted[effect.id]
-                trials = [known[id(form)] @ (theta / form.typical)]
             free = calibration[:, 3:] if effect.calibration else calibration
             residual = project(Nuisance.of(free), whitened_rows(path, noise, np.stack(trials, axis=2)))
             truths.append(trials[int(np.argmax((residual**2).sum(axis=0)))])
@@ -153,13 +146,13 @@ class Signatures:
         kept = self.columns[units[self.unit]]
         return np.asarray(kept.T @ kept)
 
-    def distances(self, gram: FloatArray, truths: Sequence[int] | None = None) -> tuple[FloatArray, FloatArray]:
+    def distances(self, gram: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return each effect's signal (..., n_truths) and distance from each other (..., n_effects).
 
         The signal is the whitened norm beside a recalibration (for its own three without), the distance that beside the
-        other effect too; infinite from itself. `gram`: see `gram`; `truths`: effects in question, all by default.
+        other effect too; infinite from itself. `gram`: see `gram`.
         """
-        numbers = np.arange(len(self.names)) if truths is None else np.asarray(truths, dtype=np.int64)
+        numbers = np.arange(len(self.names))
         target = self.first_truth + numbers
         square = gram[..., target, target]
         signal = np.zeros(square.shape)
@@ -293,3 +286,77 @@ class _Limits:
         words += ["more than is plausible"] if limit * best.typical > best.largest else []
         unit, note = "" if best.unit == "1" else f" {best.unit}", f" ({', '.join(words)})" if words else ""
         return limit, DetectionLimit(effect.id, f"{limit * best.typical:.2g}{unit}{note}")
+
+
+@dataclass(frozen=True)
+class Task:
+    """How far effects are apart with some of the runs, by number, beside those driven (-1)."""
+
+    of: Callable[[Sequence[Sequence[int]]], FloatArray]  #: sets of runs -> shape (n_sets, n)
+    names: Sequence[str]  #: shape (n,): pairs of confounded effects in words, or effects of the library
+    tied: bool  #: whether pairs
+
+    def told(self, chosen: Sequence[int]) -> tuple[int, int]:
+        """Return how many are told apart, and how many surely."""
+        (distances,) = self.of([chosen])
+        return int((distances >= SEPARATION_SD).sum()), int((distances >= ENOUGH_SD).sum())
+
+    def score(self, distances: FloatArray) -> tuple[float, float]:
+        """Return the least distance, without pairs how many are separated, and all together."""
+        capped = np.minimum(distances, CAP_SD)
+        separated = float(np.minimum(distances / SEPARATION_SD, 1.0).sum())
+        return round(float(capped.min()), 6) if self.tied else separated, float(capped.sum())
+
+    def gains(self, before: FloatArray, after: FloatArray) -> list[int]:
+        """Return what gains most."""
+        order = np.argsort(-(np.minimum(after, CAP_SD) - np.minimum(before, CAP_SD)))[:MOST_NAMED]
+        return [int(k) for k in order if after[k] > before[k] + NOTEWORTHY_SD]
+
+    def why(self, before: FloatArray, after: FloatArray, told: FloatArray) -> str:
+        """Return what a run tells apart or shows, or begins to where the next go on to distances `told`."""
+        gains, parts = self.gains(before, after), list[str]()
+        if not self.tied:
+            clear = [self.names[k] for k in gains if after[k] >= SEPARATION_SD]
+            shown = f"shows {', '.join(clear or [self.names[k] for k in gains])}" + ("" if clear else " better")
+            return shown if gains else ""
+        for k in (k for k in gains if told[k] >= SEPARATION_SD):
+            tells, surely = after[k] >= SEPARATION_SD, " more surely" * bool(before[k] >= SEPARATION_SD)
+            parts.append(f"{'tells' if tells else 'begins to tell'} {self.names[k]}{surely}")
+        return ", ".join(parts)
+
+
+def tied(apart: Apart, number: IntArray, counts: IntArray, ties: Sequence[Sequence[str]]) -> Task:
+    """Return the task of telling named causes from what they are confounded with; without pairs where none is named."""
+    driven = (number < 0).astype(np.float64)
+    named = {name for own, _ in apart(driven) for name in own}
+    groups = [(named.intersection(tie), tie) for tie in ties]
+    pairs = [(own, other) for own, tie in groups if own for other in tie if other not in own]
+
+    def of(sets: Sequence[Sequence[int]]) -> FloatArray:
+        every = [
+            min((near[one] for some, near in each if one in near and own & {*some}), default=CAP_SD)
+            for chosen in sets
+            for each in [apart(driven + counts[number] * np.isin(number, chosen))]
+            for own, one in pairs
+        ]
+        return np.reshape(every, (len(sets), len(pairs)))
+
+    # grouped by their odds: what tells them has to come on top
+    before = of([()])
+    beyond = np.where(before >= SEPARATION_SD, before, 0.0) ** 2
+    names = [f"{' and '.join(sorted(own))} from {other}" for own, other in pairs]
+    return Task(lambda sets: np.sqrt(np.maximum(of(sets) ** 2 - beyond, 0.0)), names, tied=True)
+
+
+def untied(signatures: Signatures, number: IntArray, counts: IntArray) -> Task:
+    """Return the task of showing all effects, each apart from its nearest neighbour."""
+    grams = {n: signatures.gram(number == n) * (counts[n] if n >= 0 else 1) for n in set(number.tolist())}
+
+    def of(sets: Sequence[Sequence[int]]) -> FloatArray:
+        return np.stack([one(np.sum([grams[n] for n in (-1, *chosen) if n in grams], axis=0)) for chosen in sets])
+
+    def one(gram: FloatArray) -> FloatArray:
+        signal, distance = signatures.distances(gram)
+        return np.asarray(np.minimum(signal, distance.min(axis=-1, initial=np.inf)))
+
+    return Task(of, signatures.names, tied=False)

@@ -2,45 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from itertools import combinations
-from pathlib import Path
+from pathlib import Path as FilePath
 from typing import Annotated, Any, Final, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from calib.campaign.checks.design import FEWEST_OF_A_LAW, sessions_of_loads
+from calib.campaign.checks.design import FEWEST_OF_A_LAW, columns_as_one, sessions_of_loads
 from calib.campaign.model import Campaign
 from calib.campaign.read import CLOSED, GYRO_TURN
-from calib.campaign.settings import OdometryModel
 from calib.campaign.settings_file import load_toml, parse_settings
+from calib.coefficients.sections import first_fault
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
-from calib.gap.effects.effect import Effect, Family
-from calib.gap.effects.radii import AnySpeed, SpeedRadius
+from calib.gap.effects.effect import Effect
 from calib.gap.effects.reference import ReferenceScale
-from calib.gap.inference.fit import Fitted
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan import planned_runs
-from calib.gap.plan.identifiability import SEPARATION_SD, Signatures, fitted_sizes, noise_at
+from calib.gap.plan.identifiability import ENOUGH_SD, Apart, Signatures, noise_at, tied, untied
 from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, drive, joined, route_of
-from calib.gap.predict import predict
-from calib.types import FloatArray
+from calib.gap.predict import Path, predict
 
 #: runs to recommend: about an hour of driving
 MOST_RUNS: Final = 5
-#: effects or pairs named for a run: one line
-MOST_NAMED: Final = 3
-#: twice the separation needed: a margin for other sizes
-ENOUGH_SD: Final = 2.0 * SEPARATION_SD
-#: separation worth no further run
-CAP_SD: Final = 4.0 * SEPARATION_SD
-#: smallest gain worth naming, in standard deviations
-NOTEWORTHY_SD: Final = 0.05
-#: candidates weighed at once
-AT_ONCE: Final = 16
 #: runs of a route that show its scatter
 REPEATS: Final = 3
 #: recorded distances of corridors
@@ -52,73 +38,72 @@ def next_runs(
     effects: Sequence[Effect],
     noise: Noise,
     ties: Sequence[Sequence[str]] = (),
-    fitted: Fitted | None = None,
     *,
-    model: OdometryModel | None = None,
+    apart_on: Callable[[Path, Noise, Collection[str]], Apart] | None = None,
     candidates: Sequence[PlannedRun] | None = None,
     most: int = MOST_RUNS,
 ) -> list[PlannedRun]:
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
-    The runs are driven in one session that begins with a repeat of an unladen corridor run, those at another
-    temperature in one of their own, and those of a route that was not repeated so far `REPEATS` times. Each greedy
-    step takes the run after which the two nearest confounded effects are furthest apart; where none are confounded, the
-    run after which most effects of the library are detected and separated. What the law of the load lacks comes after
-    the former and before the latter; first comes a length beside a reference that alone measures any.
+    The runs are driven in one session, those at another temperature in one of their own, and those of a route that was
+    not repeated so far `REPEATS` times; an unladen corridor run comes first where the others tell less without it. Each
+    step takes the run after which the two nearest confounded effects are furthest apart, as the diagnosis groups them,
+    else most effects of the library are; runs without which as many are told apart are omitted. What the law of the
+    load lacks is added, and loads driven one way alone.
 
     `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
-    effects, the named one first; `fitted`: gives sizes, typical for others; `model`: the simulator's, by default the
-    campaign's; `candidates`: see `default_candidates`; `most`: runs to recommend.
+    effects; `apart_on`: how far those are on other runs; `candidates`: see `default_candidates`; `most`: runs to
+    recommend, beside the unladen one.
     """
     driven = campaign.included()
-    if model is not None:
-        driven = replace(driven, model=model)
     measured = _measured(driven)
     candidates = _candidates(driven, measured, ties) if candidates is None else candidates
     if not candidates:
         return []
-    candidates = [replace(run, count=_count(driven, run)) for run in candidates]
-    reference = _corridor_run(driven)
-    planned = drive(driven, [reference, *candidates], measured, _corridor_m(driven))
-    observations = observations_of(joined(driven, planned))
+    # the unladen run comes first; where nothing shows the noise so far, one repeat more does
+    more, unladen = int(noise.dof <= 0.0), _corridor_run(driven)
+    unladen = replace(unladen, tape=not (measured.distance or measured.position), count=1 + more * REPEATS)
+    runs = [unladen, *(replace(run, count=_count(driven, run) + more) for run in candidates)]
+    observations = observations_of(joined(driven, drive(driven, runs, measured, _corridor_m(driven))))
     path = predict(observations)
-    sizes = fitted_sizes(observations, effects, fitted)
-    directed = {effect.id for effect in effects if effect.family is Family.DIRECTION}
-    if any(tie[0] in directed and SpeedRadius.id in tie for tie in ties):
-        effects = [AnySpeed() if effect.id == SpeedRadius.id else effect for effect in effects]
-    signatures = Signatures(path, noise_at(path, noise.scales), effects, sizes)
-    run_id = observations.labels["run_id"].astype(str)
-    # the reference run comes first
-    names = [f"next{number:03d}" for number in range(len(candidates) + 1)]
-    alone = signatures.gram(~np.char.startswith(run_id, "next"))
-    base = alone + signatures.gram(run_id == names[0])
-    grams = {
-        number: run.count * signatures.gram(run_id == name)
-        for number, (run, name) in enumerate(zip(candidates, names[1:], strict=True))
-        if (run_id == name).any()
-    }
-    task = _Task(signatures, ties)
-    chosen: list[PlannedRun] = []
+    noise, names = noise_at(path, noise.scales), [f"next{number:03d}" for number in range(len(runs))]
+    number = np.array([names.index(name) if name in names else -1 for name in observations.labels["run_id"]])
+    counts = np.array([run.count for run in runs])
+    task = None
+    if ties and apart_on is not None:
+        task = tied(apart_on(path, noise, {name for tie in ties for name in tie}), number, counts, ties)
+    if task is None or not task.names:
+        task = untied(Signatures(path, noise, effects), number, counts)
     taped = any(ReferenceScale.id in tie for tie in ties) and not measured.distance
     # what 'calib fit' lacks follows the runs that tell confounded effects
-    law = _of_law(driven, candidates)
-    first, law = ([], law) if task.pairs else ([(n, _OF_LAW) for n in law[:1]], [])
-    for number, why in [*first, *((n, _OF_SCALE) for n, run in enumerate(candidates) if taped and run.tape)][:most]:
-        base = base + grams.pop(number, 0.0)
-        chosen.append(replace(candidates[number], why=why))
-    while len(chosen) < most - bool(law and most > 1) and grams and not task.done(before := task.distances(base)):
-        after = task.distances_with(base, grams)
-        best = max(after, key=lambda number: (task.score(after[number]), -number))
-        if not (task.score(after[best]) > task.score(before) and task.gains(before, after[best])):
+    law = _of_law(driven, runs)
+    first = {} if task.tied else dict.fromkeys(law[:1], _OF_LAW)
+    first |= dict.fromkeys(_of_one_way(driven, runs), _BOTH_WAYS)
+    first |= {n: _OF_SCALE for n, run in enumerate(runs) if taped and run.tape}
+    chosen = [0, *list(first)[:most]]
+    left = set(number[number > 0].tolist()).difference(chosen)
+    while len(chosen) <= most - bool(task.tied and law and most > 1) and left:
+        numbers = sorted(left)
+        before, *after = task.of([chosen, *([*chosen, n] for n in numbers)])
+        best = max(range(len(after)), key=lambda k: (task.score(after[k]), -k))
+        enough, gained = (before >= ENOUGH_SD).all(), task.score(after[best]) > task.score(before)
+        if enough or not (gained and task.gains(before, after[best])):
             break
-        base = base + grams.pop(best)
-        law, nearest = [] if best in law else law, float(after[best].min()) if task.pairs else None
-        chosen.append(replace(candidates[best], why=task.why(before, after[best]), distance=nearest))
-    before, then = task.distances(alone), task.distances(base)
-    if not chosen and not task.done(before) and task.gains(before, then):
-        chosen.append(replace(reference, why=task.why(before, then)))
-    chosen += [replace(candidates[n], why=_OF_LAW) for n in law[: min(1, most - len(chosen))]]
-    return [_stated(run, _corridor_m(driven), by_laser=measured.distance) for run in chosen]
+        chosen.append(numbers[best])
+        left.remove(numbers[best])
+    later = law[: min(1, most + 1 - len(chosen))] if task.tied and not set(law).intersection(chosen) else []
+    # what tells nothing more is not driven
+    kept = {*first, 0} if later or set(first.values()) & {_OF_LAW, _BOTH_WAYS} else {*first}
+    for n in reversed(chosen):
+        others = [other for other in chosen if other != n]
+        if n not in kept and (task.tied or n == 0) and task.told(others) >= task.told(chosen):
+            chosen = others
+    proposed, steps = list[PlannedRun](), task.of([chosen[:place] for place in range(len(chosen) + 1)])
+    for n, before, after in zip(chosen, steps, steps[1:], strict=False):
+        why = "; ".join(filter(None, (first.get(n, ""), task.why(before, after, steps[-1])))) or _BESIDE
+        proposed.append(replace(runs[n], why=why, distance=float(after.min()) if task.tied else None))
+    proposed += [replace(runs[n], why=_OF_LAW) for n in later]
+    return [_stated(run, _corridor_m(driven), by_laser=measured.distance) for run in proposed]
 
 
 def _stated(run: PlannedRun, corridor_m: float, *, by_laser: bool) -> PlannedRun:
@@ -129,6 +114,8 @@ def _stated(run: PlannedRun, corridor_m: float, *, by_laser: bool) -> PlannedRun
 _OF_LAW: Final = "for 'calib fit' alone, a second load on another day: it needs two sessions of two loads or more"
 _OF_SCALE: Final = "a length by tape or laser (distance_m) tells radii and track from the scale of the reference"
 _BY_TAPE: Final = "; the end's place by tape belongs in ref_x_m and ref_y_m"
+_BOTH_WAYS: Final = "drive each load both ways: load and direction changed together, which tells nothing of either"
+_BESIDE: Final = "the same session without load, for the others to be compared with"
 _OTHER_DAY: Final = "; in a session of its own, on a day when the hall has that temperature"
 
 
@@ -151,70 +138,27 @@ def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
     measured = np.isfinite(driven.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW
     if not measured or len(sessions_of_loads(driven)) != 1:
         return []
-    laden = [number for number, run in enumerate(candidates) if run.kind == "corridor" and run.payload_kg > 0.0]
-    return sorted(laden, key=lambda number: -candidates[number].payload_kg)
+    return _laden(candidates)
+
+
+def _laden(runs: Sequence[PlannedRun]) -> list[int]:
+    laden = [number for number, run in enumerate(runs) if run.kind == "corridor" and run.payload_kg > 0.0]
+    return sorted(laden, key=lambda number: -runs[number].payload_kg)
+
+
+def _of_one_way(driven: Campaign, runs: Sequence[PlannedRun]) -> list[int]:
+    """Return those of the largest payload, out and back, where loads went with the direction."""
+    if not any("load and direction" in note.where for note in columns_as_one(driven)):
+        return []
+    laden = _laden(runs)
+    return [n for way in ("out", "back") for n in [n for n in laden if runs[n].direction == way][:1]]
 
 
 def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:
-    """Return the runs driven and, as their model says, those of `next_runs` with the repeat before them."""
+    """Return the runs driven and, as their model says, those of `next_runs`."""
     driven = campaign.included()
-    planned = [_corridor_run(driven), *(run for run in runs for _ in range(run.count))]
+    planned = [run for run in runs for _ in range(run.count)]
     return joined(driven, drive(driven, planned, _measured(driven), _corridor_m(driven)))
-
-
-class _Task:
-    def __init__(self, signatures: Signatures, ties: Sequence[Sequence[str]]) -> None:
-        self.signatures = signatures
-        number = {name: index for index, name in enumerate(signatures.names)}
-        pairs = [pair for group in ties for pair in combinations(group, 2)]
-        known = [(number[a], number[b]) for a, b in pairs if a in number and b in number]
-        # radii and track are rivals together, not one of the three alone
-        own = signatures.own_calibration
-        self.pairs = [(b, a) if own[a] and not own[b] else (a, b) for a, b in known]
-        self.truths = sorted({a for a, _ in self.pairs}) if self.pairs else list(range(len(signatures.names)))
-
-    def distances(self, gram: FloatArray) -> FloatArray:
-        """Return the distance of confounded pairs, else of effects from zero and nearest neighbour.
-
-        `gram`: (..., n_columns, n_columns), scalar products; distances for each.
-        """
-        signal, distance = self.signatures.distances(gram, self.truths)
-        if self.pairs:
-            row = {truth: index for index, truth in enumerate(self.truths)}
-            return np.stack([distance[..., row[a], b] for a, b in self.pairs], axis=-1)
-        return np.asarray(np.minimum(signal, distance.min(axis=-1, initial=np.inf)))
-
-    def distances_with(self, gram: FloatArray, added: Mapping[int, FloatArray]) -> dict[int, FloatArray]:
-        numbers, after = list(added), dict[int, FloatArray]()
-        for some in (numbers[first : first + AT_ONCE] for first in range(0, len(numbers), AT_ONCE)):
-            after |= zip(some, self.distances(gram + np.stack([added[number] for number in some])), strict=True)
-        return after
-
-    def done(self, distances: FloatArray) -> bool:
-        return bool((distances >= ENOUGH_SD).all())
-
-    def score(self, distances: FloatArray) -> tuple[float, float]:
-        capped = np.minimum(distances, CAP_SD)
-        separated = float(np.minimum(distances / SEPARATION_SD, 1.0).sum())
-        return round(float(capped.min()), 6) if self.pairs else separated, float(capped.sum())
-
-    def gains(self, before: FloatArray, after: FloatArray) -> list[int]:
-        order = np.argsort(-(np.minimum(after, CAP_SD) - np.minimum(before, CAP_SD)))[:MOST_NAMED]
-        return [int(k) for k in order if after[k] > before[k] + NOTEWORTHY_SD]
-
-    def why(self, before: FloatArray, after: FloatArray) -> str:
-        names, gains = self.signatures.names, self.gains(before, after)
-        if self.pairs:
-            parts = []
-            for k in gains:
-                told = f"{names[self.pairs[k][0]]} from {names[self.pairs[k][1]]}"
-                if after[k] < SEPARATION_SD:
-                    parts.append(f"begins to tell {told} ({after[k]:.1f} of {SEPARATION_SD:g} standard deviations)")
-                else:
-                    parts.append(f"tells {told}{' more surely' if before[k] >= SEPARATION_SD else ''}")
-            return ", ".join(parts)
-        clear = [names[self.truths[k]] for k in gains if after[k] >= SEPARATION_SD]
-        return f"shows {', '.join(clear or [names[self.truths[k]] for k in gains])}" + ("" if clear else " better")
 
 
 def _measured(campaign: Campaign) -> Measured:
@@ -249,13 +193,16 @@ def _count(campaign: Campaign, run: PlannedRun) -> int:
 
 def _corridor_m(campaign: Campaign) -> float:
     distance = campaign.runs.number("distance_m")
-    corridor = (campaign.runs.label("kind") == "corridor") & np.isfinite(distance)
+    kind = campaign.runs.label("kind")
+    own = kind == "corridor"
+    corridor = (own if own.any() else np.char.startswith(kind, "corridor")) & np.isfinite(distance)
     length = float(np.median(distance[corridor])) if corridor.any() else DEFAULT_CORRIDOR_M
     low, high = CORRIDOR_RANGE_M
     return length if low <= length <= high else DEFAULT_CORRIDOR_M
 
 
 FORMAT: Final = "calib-plan/1"
+_REMEDY: Final = "correct the plan"
 #: sensors that drive the odometry without rear encoders -> what only a log has
 _IN_LOG_ONLY: Final = {
     "front": "the front wheel and its angle",
@@ -309,7 +256,7 @@ class _RunEntry(_Strict):
         return PlannedRun(**self.model_dump(exclude_unset=True, exclude={"count", *columns}), columns=columns)
 
 
-def read_plan(path: Path) -> Campaign:
+def read_plan(path: FilePath) -> Campaign:
     """Return the campaign that a plan would give if the vehicle were exactly as its model.
 
     `path`: the plan: ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` with ``distance``,
@@ -337,12 +284,12 @@ def read_plan(path: Path) -> Campaign:
     return drive(replace(settings, simulated=True), runs, by, measured.corridor_m)
 
 
-def read_candidates(path: Path) -> list[PlannedRun]:
+def read_candidates(path: FilePath) -> list[PlannedRun]:
     """Return runs to choose from: a file with ``[[runs]]`` as in a plan, ``count`` unused."""
     return list({repr(run): run for run in _runs(_load(path).get("runs"), path)}.values())
 
 
-def _load(path: Path) -> dict[str, Any]:
+def _load(path: FilePath) -> dict[str, Any]:
     document = load_toml(path, str(path))
     if (stated := document.pop("format", FORMAT)) != FORMAT:
         raise BadFileError(
@@ -351,7 +298,7 @@ def _load(path: Path) -> dict[str, Any]:
     return document
 
 
-def _runs(section: object, path: Path) -> list[PlannedRun]:
+def _runs(section: object, path: FilePath) -> list[PlannedRun]:
     if not isinstance(section, list) or not section:
         raise _wrong(path, "runs", section, "one [[runs]] or more")
     runs: list[PlannedRun] = []
@@ -369,20 +316,16 @@ def _runs(section: object, path: Path) -> list[PlannedRun]:
     return runs
 
 
-def _validated(kind: type[_Section], table: object, path: Path, where: str) -> _Section:
+def _validated(kind: type[_Section], table: object, path: FilePath, where: str) -> _Section:
     if not isinstance(table, dict):
         raise _wrong(path, where, table, "a table")
     try:
         return kind.model_validate(table)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        column = ".".join([where, *(str(part) for part in first["loc"])])
-        if first["type"] == "missing":
-            raise _wrong(path, column, None, "a value") from error
-        known = f"one of {', '.join(kind.model_fields)}" if first["type"] == "extra_forbidden" else ""
-        raise _wrong(path, column, first["input"], known or first["msg"].removeprefix("Input should be ")) from error
+        part, found, expected = first_fault(error)
+        raise BadFileError(path, found[:60], expected, _REMEDY, column=f"{where}.{part}") from error
 
 
-def _wrong(path: Path, column: str, found: object, expected: str) -> BadFileError:
+def _wrong(path: FilePath, column: str, found: object, expected: str) -> BadFileError:
     shown = str(found).lower() if isinstance(found, bool) else repr(found)
-    return BadFileError(path, column=column, found=shown[:60], expected=expected, remedy="correct the plan")
+    return BadFileError(path, column=column, found=shown[:60], expected=expected, remedy=_REMEDY)

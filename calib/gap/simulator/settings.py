@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, P
 
 from calib.campaign.log_reading import cache_folder
 from calib.campaign.settings_file import load_toml
+from calib.coefficients.sections import first_fault
 from calib.errors import BadFileError, CalibError
 from calib.gap.effects.effect import Family, Parameter
 from calib.gap.effects.library import REGISTRY
@@ -92,12 +93,9 @@ def read_settings(path: Path) -> SimulatorSettings:
     try:
         settings = SimulatorSettings.model_validate(load_toml(path, str(path), remedy="give the path of SIM.toml"))
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        found = "nothing" if first["type"] == "missing" else f"{first['input']!r}"[:60]
-        known = {"missing": "this key", "extra_forbidden": "no such key", "tuple_type": 'a list: ["python", "sim.py"]'}
-        expected = known.get(first["type"], first["msg"].removeprefix("Input should be "))
-        raise BadFileError(path, found, expected, "see the simulator page of the manual", column=key) from error
+        key, found, expected = first_fault(error)
+        expected = 'a list: ["python", "sim.py"]' if expected == "a valid tuple" else expected
+        raise BadFileError(path, found[:60], expected, "see the simulator page of the manual", column=key) from error
     settings._path = path
     for place in PLACES:
         if not any(place in part for part in settings.command):

@@ -195,7 +195,7 @@ def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
     if not runs:
         return Text("No run of the list would separate more effects than the runs driven.")
     return table(
-        "Runs to drive next, best first; in one session that begins with a repeat of an unladen corridor run.",
+        "Runs to drive next in one session, best first.",
         ("<Run", "Payload (kg)", "Speed (m/s)", "Hall (°C)", "Loaded (min)", "*What it separates"),
         [_row(number, run) for number, run in enumerate(runs, start=1)],
     )

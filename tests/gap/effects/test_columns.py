@@ -103,7 +103,7 @@ def test_a_declared_effect_on_the_track_acts_in_turns() -> None:
         ({"typical": True}, "effects[0].typical"),
         ({"typical": float("nan")}, "effects[0].typical"),
         ({"largest": 1e-4}, "effects[0].largest"),
-        ({"formula": "2 * tyre_bar"}, "effects[0]"),
+        ({"formula": "2 * tyre_bar"}, "effects[0].formula"),
     ],
 )
 def test_a_bad_declaration_is_refused_by_file_and_key(s: Observations, changes: dict[str, object], key: str) -> None:

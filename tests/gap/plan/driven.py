@@ -11,10 +11,12 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.gap.decision.confounding import apart_on
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.plan.next_runs import next_runs
 from calib.gap.plan.planned_runs import PlannedRun, joined, route_of
@@ -82,9 +84,9 @@ def as_driven(run: PlannedRun, *, by_gyro: bool) -> Drive:
 def with_runs(
     made: Campaign, runs: Sequence[PlannedRun], truth: Truth, off: Gyro, rng: np.random.Generator
 ) -> Campaign:
-    """Return a campaign with proposed runs driven after it, an unladen corridor first, in one session."""
+    """Return a campaign with proposed runs driven after it, in one session."""
     by_gyro = "gyro_z_radps" in made.logs.columns
-    wanted = [PlannedRun("corridor", "out", tape=True), *(run for run in runs for _ in range(run.count))]
+    wanted = [run for run in runs for _ in range(run.count)]
     more = unaided([as_driven(run, by_gyro=by_gyro) for run in wanted], truth, off, rng)
     n = len(wanted)
     labels = dict(more.runs.labels) | {
@@ -123,7 +125,8 @@ def study(lab: str, cause: str, seeds: int) -> Outcome:
             continue
         ambiguous += 1
         ties = [group.effects for group in before.groups]
-        runs = next_runs(made, before.effects, before.noise, ties, before.fitted)
+        by = partial(apart_on, before.arrays)
+        runs = next_runs(made, before.effects, before.noise, ties, apart_on=by)
         proposed.append(sum(run.count for run in runs))
         after = diagnose_in_full(with_runs(made, runs, truth, off, rng), plan=False)
         told += not any(cause in group.effects and set(rivals) & {*group.effects} - {cause} for group in after.groups)

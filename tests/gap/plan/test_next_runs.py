@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import fields, replace
+from functools import partial
+from pathlib import Path as FilePath
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +16,17 @@ import calib
 from calib.campaign.checks.design import sessions_of_loads
 from calib.campaign.model import Campaign
 from calib.errors import BadFileError
+from calib.gap.decision.confounding import apart_on
+from calib.gap.decision.diagnosis import Evidence
 from calib.gap.effects.library import library
+from calib.gap.effects.radii import NAMES
 from calib.gap.inference.fit import fit
 from calib.gap.inference.linear_model import WhitenedSystem
+from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.identifiability import noise_at, outlook_of, undetectable
+from calib.gap.plan.identifiability import SEPARATION_SD, Apart, noise_at, outlook_of, undetectable
 from calib.gap.plan.next_runs import next_runs, read_plan, with_next
 from calib.gap.plan.planned_runs import (
     Measured,
@@ -29,13 +36,13 @@ from calib.gap.plan.planned_runs import (
     joined,
     usual_temperature_C,
 )
-from calib.gap.predict import predict, residuals
+from calib.gap.predict import Path, predict, residuals
 from calib.plant.design import poor_design
 from calib.plant.make import make_campaign
 from tests.gap.effects.making import STRAIGHT, Run, campaign
 from tests.kinematics.campaigns import mecanum, tricycle
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = FilePath(__file__).resolve().parents[3]
 
 
 def base(seed: int = 1, name: str = "load_a_session") -> Campaign:
@@ -46,6 +53,31 @@ def base(seed: int = 1, name: str = "load_a_session") -> Campaign:
 def noise_of(campaign: Campaign) -> tuple[Observations, Noise]:
     s = observations_of(campaign)
     return s, noise_at(predict(s), {})
+
+
+def called(campaign: Campaign) -> Campaign:
+    """The same under ids of their own: those of planned runs are for the next."""
+    names = np.array([f"driven{k}" for k in range(len(campaign.runs))])
+    return replace(campaign, runs=replace(campaign.runs, labels={**campaign.runs.labels, "run_id": names}))
+
+
+def named(
+    campaign: Campaign, sizes: Mapping[str, float], off: Mapping[str, float] | None = None
+) -> Callable[[Path, Noise, Collection[str]], Apart]:
+    """How far effects are from named ones: `sizes` of the last forms in typical sizes, `off`: of radii and track."""
+    s, noise = noise_of(campaign)
+    nominal, off = predict(s), off or {}
+    effects = {effect.id: effect for effect in library(s)}
+    forms = [effects[name].forms(s)[-1] for name in sizes]
+    theta = tuple(size * form.typical for size, form in zip(sizes.values(), forms, strict=True))
+    found = replace(fit(nominal, noise, forms), theta=theta)
+    parts: dict[str, Any] = dict.fromkeys(field.name for field in fields(SearchResult))
+    values = np.array([off.get(name, 0.0) for name in NAMES])
+    evidence = Evidence(
+        *(None, "", nominal, noise, effects, SearchResult(**parts | {"fitted": found, "forms": {}})),
+        *(SimpleNamespace(likeliest=tuple(off), values=values), None, (), None),
+    )  # type: ignore[call-arg, arg-type]
+    return partial(apart_on, evidence)
 
 
 def test_a_run_driven_as_the_model_says_has_no_gap() -> None:
@@ -84,26 +116,45 @@ def test_planned_speeds_and_stops_are_driven() -> None:
 
 
 def test_a_laden_run_beside_an_unladen_one_separates_load_and_session() -> None:
-    """One load a session cannot tell them; two loads in one session do, which the first run must bring."""
+    """A new session's step is free: one load there tells nothing of the law, two do, and both are proposed."""
     campaign = base()
-    _, noise = noise_of(campaign)
-    s, _ = noise_of(campaign)
-    runs = next_runs(campaign, library(s), noise, [("load_radius", "session_step")])
-    assert runs
-    assert (runs[0].payload_kg or 0.0) > 0
-    assert "load_radius from session_step" in runs[0].why
+    s, noise = noise_of(campaign)
+    ties, apart = [("load_radius", "session_step")], named(campaign, {"load_radius": 1.0})
+    runs = next_runs(campaign, library(s), noise, ties, apart_on=apart)
+    assert any("tells load_radius from session_step" in run.why for run in runs)
+    assert {run.payload_kg > 0.0 for run in runs} == {True, False}
+    assert {run.session for run in runs} == {"next"}
+    # each of them is needed
+    for left_out in runs:
+        others = [run for run in runs if run is not left_out]
+        path = predict(observations_of(with_next(campaign, others)))
+        (((name,), near),) = apart(path, noise_at(path, noise.scales), ["session_step"])(np.ones(len(path.s)))
+        assert name == "load_radius" and near["session_step"] < SEPARATION_SD
 
 
 def test_another_curvature_separates_track_and_scrub() -> None:
     """Squares of one corner radius cannot tell a wrong track from scrub; no straight run can either."""
     campaign = base(2, "squares_one_load")
     s, noise = noise_of(campaign)
-    tie = [("track_width", "curve_scrub")]
-    runs = next_runs(campaign, library(s), noise, tie)
+    tie, apart = [("track_width", "curve_scrub")], named(campaign, {}, {"track_width": 0.01})
+    runs = next_runs(campaign, library(s), noise, tie, apart_on=apart)
     assert runs
-    assert runs[0].kind not in {"corridor", "corridor_short", "corridor_b"}
+    assert runs[-1].kind not in {"corridor", "corridor_short", "corridor_b"}
     straight = [PlannedRun("corridor", direction, speed_mps=v) for direction in ("out", "back") for v in (0.3, 0.7)]
-    assert next_runs(campaign, library(s), noise, tie, candidates=straight) == []
+    assert next_runs(campaign, library(s), noise, tie, apart_on=apart, candidates=straight) == []
+
+
+def test_a_closed_square_does_not_tell_the_track_from_the_scale_of_the_radii() -> None:
+    """It closes by any size of both that turns it as far; a length does tell them, and comes first."""
+    loops = [PlannedRun(kind, loop="closed", session="s1") for kind in ("square_cw", "square_ccw") for _ in range(4)]
+    driven = called(drive(base(), loops, Measured(distance=False, position=False, heading=False)))
+    s, noise = noise_of(driven)
+    tie, apart = [("track_width", "radius_scale")], named(driven, {}, {"track_width": 0.01})
+    (square, length) = PlannedRun("square_ccw", loop="closed", speed_mps=0.3), PlannedRun("corridor", tape=True)
+    told = next_runs(driven, library(s), noise, tie, apart_on=apart, candidates=[square, length])
+    assert {run.kind for run in told} == {"corridor"} and "tells track_width from radius_scale" in told[-1].why
+    # the unladen run of the session is a length
+    assert next_runs(driven, library(s), noise, tie, apart_on=apart, candidates=[square])[0].kind == "corridor"
 
 
 def test_without_candidates_nothing_is_named() -> None:
@@ -193,7 +244,7 @@ def test_mixed_runs_separate_more_than_straight_ones_and_these_more_than_squares
         ("format = 'calib-campaign/1'\n[[runs]]\nkind = 'corridor'", "format"),
     ],
 )
-def test_an_error_in_a_plan_names_its_place(tmp_path: Path, text: str, column: str) -> None:
+def test_an_error_in_a_plan_names_its_place(tmp_path: FilePath, text: str, column: str) -> None:
     path = tmp_path / "PLAN.toml"
     path.write_text(text)
     with pytest.raises(BadFileError, match=column):
@@ -209,9 +260,7 @@ def test_three_chosen_runs_separate_more_than_four_at_random() -> None:
         for mass, y in loads
         for k in range(4)
     ]
-    driven = drive(campaign, straight, Measured(front=True))
-    names = np.array([f"driven{k}" for k in range(len(straight))])
-    driven = replace(driven, runs=replace(driven.runs, labels={**driven.runs.labels, "run_id": names}))
+    driven = called(drive(campaign, straight, Measured(front=True)))
     offered = default_candidates(driven)
     s = observations_of(driven)
     chosen = next_runs(driven, library(s), noise_at(predict(s), {}), candidates=offered, most=3)
@@ -226,7 +275,7 @@ def test_three_chosen_runs_separate_more_than_four_at_random() -> None:
 
     rng = np.random.default_rng(0)
     at_random = [count([offered[k] for k in rng.choice(len(offered), 4, replace=False)]) for _ in range(5)]
-    before, after = count([]), count([by_content[repr(run)] for run in planned])
+    before, after = count([]), count([by_content[repr(run)] for run in planned if repr(run) in by_content])
     assert after > np.median(at_random)
     assert after >= 2 * before
 
@@ -249,16 +298,17 @@ def test_a_law_of_one_day_gets_a_second_load_on_another_day() -> None:
     """So that with the unladen repeat two sessions have two loads; of the sample, where all sessions have, nothing."""
     crossed = calib.read(ROOT / "sample_runs" / "corridor_crossed").included()
     day = crossed.select(crossed.runs.label("session") == "s1")
-    first = calib.plan(day, most=1).runs[0]
-    assert (first.kind, first.payload_kg) == ("corridor", 200.0)
-    assert "another day" in first.why
-    assert len(sessions_of_loads(with_next(day, [first]))) == 2
+    runs = calib.plan(day, most=1).runs
+    assert [(run.kind, run.payload_kg) for run in runs] == [("corridor", 0.0), ("corridor", 200.0)]
+    assert "another day" in runs[1].why
+    assert len(sessions_of_loads(with_next(day, runs))) == 2
     assert not any("another day" in each.why for each in calib.plan(crossed, most=2).runs)
     # what tells confounded effects apart comes before it
     s, noise = noise_of(day)
     lanes = [PlannedRun("corridor_short"), PlannedRun("corridor", payload_kg=200.0, payload_x_m=0.3)]
     ties = [("rangefinder_scale", "rangefinder_offset")]
-    told, law = next_runs(day, library(s), noise, ties, candidates=lanes)
+    apart = named(day, {"rangefinder_scale": 3.0})
+    _, told, law = next_runs(day, library(s), noise, ties, apart_on=apart, candidates=lanes)
     assert "tells rangefinder_scale" in told.why and "another day" in law.why
 
 
@@ -271,7 +321,8 @@ def test_another_hall_temperature_is_a_session_of_its_own() -> None:
     assert np.isfinite(usual_C) and len(others) == 2 and "next" not in others
     s, noise = noise_of(driven)
     warm = [run for run in offered if run.temperature_C > usual_C]
-    (run,) = next_runs(driven, library(s), noise, [("temperature_radius", "wear")], candidates=warm)
+    ties, apart = [("temperature_radius", "wear")], named(driven, {"temperature_radius": 3.0})
+    *_, run = next_runs(driven, library(s), noise, ties, apart_on=apart, candidates=warm)
     assert "a session of its own" in run.why
 
 
@@ -285,23 +336,36 @@ def test_where_the_repeat_alone_tells_it_is_what_is_proposed() -> None:
     ]
     driven = campaign(runs)
     s, noise = noise_of(driven)
-    worn = next(
-        form for effect in library(s) if effect.id == "wear" for form in effect.forms(s) if "session" in form.label
-    )
-    known = fit(predict(s), noise, [worn])
-    fitted = replace(known, theta=(np.array([-1e-3, -1e-3]),))
     ties, candidates = [("wear", "temperature_radius")], [PlannedRun("square_cw", temperature_C=20.0)]
-    (run,) = next_runs(driven, library(s), noise, ties, fitted, candidates=candidates)
+    worn = named(driven, {"wear": 3.0})
+    (run,) = next_runs(driven, library(s), noise, ties, apart_on=worn, candidates=candidates)
     assert (run.kind, run.direction, run.size) == ("corridor", "out", "10 m")
     assert "wear from temperature_radius" in run.why
 
 
-def test_counts_lost_with_the_speed_are_told_from_radii_by_a_second_speed() -> None:
-    """Radii off by shares of their own do together at one speed what a counter does that loses counts."""
+def test_no_run_of_the_same_wheels_tells_a_share_of_lost_counts_from_that_wheels_radius() -> None:
+    """A constant share is an exact alias at every speed and load: nothing is promised, and nothing proposed."""
     driven = campaign([Run(STRAIGHT, front=False, direction=way) for way in ("out", "back") for _ in range(6)])
     s, noise = noise_of(driven)
-    candidates = [PlannedRun("corridor", "out", speed_mps=speed) for speed in (0.5, 0.25)]
     ties = [("radius_scale", "unequal_radii", "lost_counts")]
-    runs = next_runs(driven, library(s), noise, ties, candidates=candidates)
-    assert [run.speed_mps for run in runs] == [0.25]
-    assert "tells lost_counts from radius_scale" in runs[0].why
+    left = named(driven, {}, {"radius_scale": 1e-3, "unequal_radii": -2e-3})
+    assert next_runs(driven, library(s), noise, ties, apart_on=left) == []
+
+
+def test_loads_that_went_with_the_direction_are_to_be_driven_both_ways() -> None:
+    """Laden out and unladen back: the runs to come have the largest payload out and back, beside it unladen."""
+    runs = [
+        PlannedRun("corridor", way, f"s{k % 2}", payload_kg=kg, payload_x_m=0.3)
+        for k in range(8)
+        for way, kg in (("out", 160.0), ("back", 0.0))
+    ]
+    driven = called(drive(base(), runs, Measured()))
+    s, noise = noise_of(driven)
+    ties, apart = [("travel_direction", "load_radius")], named(driven, {"travel_direction": 4.0})
+    told = next_runs(driven, library(s), noise, ties, apart_on=apart)
+    assert any("tells travel_direction from load_radius" in run.why for run in told)
+    assert {run.direction for run in told if run.payload_kg == 160.0} == {"out", "back"}
+    assert all("drive each load both ways" in run.why for run in told if run.payload_kg)
+    assert any(not run.payload_kg for run in told)
+    crossed = called(drive(base(), [*runs, *(replace(run, direction="back") for run in runs)], Measured()))
+    assert not any("both ways" in run.why for run in next_runs(crossed, library(s), noise, most=1))

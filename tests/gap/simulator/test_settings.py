@@ -42,7 +42,7 @@ def test_a_sound_file_has_the_defaults_of_the_manual(tmp_path: Path) -> None:
         ("step = 0.0005", "step = 0.0005\nsign = -1", "sign that is physical"),
         ("step = 0.0005", 'step = 0.0005\neffect = "no_effect"', "no_effect"),
         ("step = 0.0005", "step = 0.0005\nsteps = 3", "no such key"),
-        ("step = 0.0005", "", "this key"),
+        ("step = 0.0005", "", "a value"),
         ("largest = 0.01", "largest = -1", "greater than 0"),
         ('name = "r"', 'name = "a b"', "name"),
         ("largest = 0.01", 'largest = 0.01\n[[parameter]]\nname="r"\nnominal=1\nstep=0.1\nlargest=1', "twice"),
