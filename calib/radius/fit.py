@@ -279,8 +279,8 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     statistic = slope * np.sqrt(squares / scatter)
     sentences = (
         "The radius does not follow the temperature.",
-        f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: a law of the load "
-        "alone is off by that on a warmer or colder day; calib diagnose says whether it is the temperature or "
+        f"The radius follows the temperature by {UM * slope:+.2g} µm/K over {span:.0f} K driven: a law of the load "
+        "alone is off by that on a warmer or colder day; 'calib diagnose' says whether it is the temperature or "
         "something that correlates with it, and corrects it.",
     )
     check = tested("temperature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)
