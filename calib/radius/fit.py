@@ -279,7 +279,7 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     statistic = slope * np.sqrt(squares / scatter)
     sentences = (
         "The radius does not follow the temperature.",
-        f"The radius follows the temperature by {UM * slope:+.2g} µm/K over {span:.0f} K driven: a law of the load "
+        f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: a law of the load "
         "alone is off by that on a warmer or colder day; 'calib diagnose' says whether it is the temperature or "
         "something that correlates with it, and corrects it.",
     )
