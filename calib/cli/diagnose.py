@@ -30,7 +30,7 @@ def run(
     seed: terminal.Seed = 0,
     apply: Annotated[Place, opt("FILE", "Write the model with the named effect; of a simulator: what to set.")] = None,
     figures: terminal.Figures = None,
-    html: Annotated[Place, opt("FILE", "Write one page to look into, with linked panels.")] = None,
+    html: Annotated[Place, opt("FILE", "Write one interactive page, with linked panels.")] = None,
     into: Annotated[Place, opt("FOLDER", "Result folder: diagnosis.json.")] = None,
     journeys: Annotated[Place, opt("PLAN", "Runs to come, to compare the corrections of tied causes on.")] = None,
     simulator: Simulator = None,

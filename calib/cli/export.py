@@ -120,7 +120,7 @@ def report(
     ] = None,
     date: terminal.Date = None,
     figures: terminal.Figures = None,
-    html: Annotated[Place, opt("FILE", "Write the same as one HTML page, too; with --diagnosis, to look into.")] = None,
+    html: Annotated[Place, opt("FILE", "Write the same as one HTML page, too; with --diagnosis interactive.")] = None,
     diagnosis: Annotated[
         bool, opt(None, "Add the diagnosis of the gap between measured and simulated motion.", "--diagnosis")
     ] = False,

@@ -64,8 +64,10 @@ def _tell(
     document: dict[str, object], content: Iterable[Block | Section], notes: list[str], written: list[Path]
 ) -> None:
     from calib.reporting.blocks import items
+    from calib.reporting.formatting import prose
 
-    terminal.answer(document | {"notes": notes, "files": [str(path) for path in written]}, [*content, *items(notes)])
+    document |= {"notes": notes, "files": [str(path) for path in written]}
+    terminal.answer(document, [*content, *items(map(prose, notes))])
     if not terminal.wants_stdout():
         terminal.wrote(written)
 
@@ -322,7 +324,7 @@ def own(
     sizes: Annotated[
         str, opt("LIST", "10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
     ] = "5s,10s,25s",
-    planted: Annotated[int, opt("N", "How often each.", min=1)] = 5,
+    planted: Annotated[int, opt("N", "How often each effect and size is planted.", min=1)] = 5,
     workers: terminal.Workers = 2,
     seconds: Annotated[float, opt("S", "Begin no diagnosis after so long.", min=1.0)] = 900.0,
     seed: terminal.Seed = 0,

@@ -321,7 +321,7 @@ Force = Annotated[bool, opt(None, "Replace existing output files.", "--force")]
 _ACCEPTED = "Pass on a law that is beyond the bounds of its vehicle; the reason is written into the file."
 AcceptImplausible = Annotated[str, opt("REASON", _ACCEPTED, "--accept-implausible")]
 Workers = Annotated[int, opt("N", "Processes of this machine.", "--workers", min=1)]
-Seed = Annotated[int, opt("N", "Seed of everything that is drawn.", "--seed")]
+Seed = Annotated[int, opt("N", "Seed of the random numbers.", "--seed")]
 
 
 def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:

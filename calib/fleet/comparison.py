@@ -295,7 +295,7 @@ def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns)
 
 def shown_quantity(quantity: str) -> tuple[str, float, str]:
     """Return a quantity's name for people, the factor to its unit there, that unit."""
-    for suffix, scale, unit in (("_m_per_N", 1e9, "nm/N"), ("_m", 1e3, "mm"), ("_rad", 1e3, "mrad"), ("_s", 1e3, "ms")):
+    for suffix, scale, unit in (("_m_per_N", 1e6, "µm/N"), ("_m", 1e3, "mm"), ("_rad", 1e3, "mrad"), ("_s", 1e3, "ms")):
         if quantity.endswith(suffix):
             return quantity.removesuffix(suffix).removesuffix("_ref").replace("_", " "), scale, unit
     return quantity.replace("_", " "), 1.0, ""

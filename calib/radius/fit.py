@@ -287,7 +287,7 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     sentences = (
         "The radius does not follow the temperature.",
         f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: a law of the load "
-        "alone is off by that on a warmer or colder day; calib diagnose says whether it is the temperature or "
+        "alone is off by that on a warmer or colder day; 'calib diagnose' says whether it is the temperature or "
         "something that correlates with it, and corrects it.",
     )
     check = tested("temperature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)

@@ -70,6 +70,9 @@ def test_a_plan_is_judged_as_matrix_and_picture(plan: Path, tmp_path: Path, caps
     assert document["distance"][number["travel_direction"]][number["load_radius"]] < 3
     assert "curve_scrub" in document["absent"] or "curve_scrub" in document["not_seen"]
     assert (figures / "plan-matrix.png").read_bytes().startswith(b"\x89PNG")
+    assert run(["plan", "--from", str(plan)]) == 0
+    # one reason, told once
+    assert capsys.readouterr().out.count("acts") == 1
     assert run(["plan", "--from", str(plan), "--figures", str(figures)]) == 2
     assert "--force" in capsys.readouterr().err
 

@@ -85,8 +85,13 @@ def test_a_study_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert ends[0] != ends[1]
 
 
-def test_a_law_alone_makes_no_table_of_zeros(coefficients: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert run(["simulate", "journey", "straight15", "--law", str(coefficients), "--load", "500,500"]) == 0
+def test_a_law_alone_makes_no_table_of_zeros(
+    coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor figures of what rounding leaves."""
+    given = ["simulate", "journey", "straight15", "--law", str(coefficients), "--load", "500,500"]
+    assert run([*given, "--output", str(tmp_path)]) == 0
+    assert (tmp_path / "errors.png").exists() and not [*tmp_path.glob("route1*")]
     assert "given radii" not in capsys.readouterr().out
     assert run(["simulate", "route", "straight15", "--real", "0.1,0.1"]) == 0
     assert "given radii" in capsys.readouterr().out

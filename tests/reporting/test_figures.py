@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,12 +12,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.text import Text as Label
 
+from calib.api import simulate
+from calib.kinematics.result import RunTrace
 from calib.radius.effective import EffectiveRadii
 from calib.radius.fit import fit_law
 from calib.reporting.blocks import Picture
 from calib.reporting.content import Report, compose
 from calib.reporting.figures import gap as gap_figures
-from calib.reporting.figures.calibration import path_deviation, regressions, residuals, runs_by_series
+from calib.reporting.figures.calibration import draw_paths, path_deviation, regressions, residuals, runs_by_series
+from calib.reporting.figures.motion import replay_figure, sweep_errors_figure, sweep_figure
 from calib.reporting.figures.style import named_groups, render, render_all
 from calib.reporting.source import Source
 from tests.reporting.making import CHANNELS, findings, with_findings
@@ -188,3 +192,34 @@ def test_there_is_no_tick_between_two_runs() -> None:
     axes = [runs_by_series(radii).axes[1], residuals(fit.left, fit.right, radii.session).axes[4]]
     for axis in (*axes, path_deviation(radii).axes[1]):
         assert all(float(place).is_integer() for place in axis.get_xticks())
+
+
+@pytest.mark.parametrize("study", ["asymmetric", "corrected"])
+def test_no_legend_of_a_study_is_clipped(study: str) -> None:
+    for sweep in simulate(study).sweeps.values():
+        assert clipped(sweep_figure(sweep, error="lateral_m", title="")) == []
+        assert clipped(sweep_errors_figure(sweep, title="")) == []
+
+
+def test_decades_are_written_as_numbers() -> None:
+    """The style parses no mathematics, so that a name of `$` stays a name: labels of an axis must need none."""
+    far = np.array([0.004, 0.03, 0.9])
+    errors = SimpleNamespace(along_m=far, lateral_m=far, distance_m=far)
+    replay = SimpleNamespace(load_left_N=far, load_right_N=far, errors={"constant": errors, "corrected": errors})
+    figure = replay_figure(replay)
+    FigureCanvasAgg(figure).draw()
+    labels = [label.get_text() for label in figure.axes[1].get_yticklabels(which="both")]
+    assert {"0.01", "0.1", "1"} <= set(labels) and not any("$" in label for label in labels)
+
+
+def test_all_that_paths_of_end_poses_show_is_in_the_legend_and_none_of_it_overlaps() -> None:
+    way = np.column_stack((np.linspace(0.0, 5.0, 20), np.zeros(20)))
+    ends = np.array([[0.01, 0.02, 0.001]])
+    trace = RunTrace("r1", "corridor", way, way, np.array([19]), np.zeros(1), way[-1:], ends, ends)
+    figure = draw_paths([trace] * 3, simulated=True)
+    assert clipped(figure) == []
+    labels = {label.get_text(): label.get_window_extent() for label in figure.findobj(Label) if label.get_text()}
+    assert {"odometry before", "odometry after", "reference"} <= labels.keys()
+    assert any(label.startswith("odometry after: distance") for label in labels)
+    mark = labels.pop("SIMULATED DATA")
+    assert not any(mark.overlaps(other) for other in labels.values())

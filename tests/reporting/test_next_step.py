@@ -74,6 +74,17 @@ def test_lengths_alone_lead_to_no_geometry(tmp_path: Path, capsys: pytest.Captur
     assert after_geometry(doubtful, None) == "geometry lengths"
 
 
+@pytest.mark.parametrize(
+    ("command", "follows"), [("geometry", "keep the nominal values; 'calib diagnose"), ("fit", "'calib diagnose")]
+)
+def test_what_is_not_of_the_calibration_leads_to_the_diagnosis(
+    command: str, follows: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The yard's radii follow the temperature: no row of its table is wrong, and other radii gain nothing."""
+    run([command, str(ROOT / "sample_runs" / "yard")])
+    assert f"Next: {follows}" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(("to", "named"), [("c", "calib_coefficients.h"), ("json", "coefficients.json")])
 def test_an_export_into_a_folder_names_its_file(
     to: str, named: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -348,7 +348,7 @@ def patched(
 def _beyond(file: CoefficientFile, pair: LoadPair) -> Iterator[str]:
     for side, law, load in (("left", file.law.left, pair.left_N), ("right", file.law.right, pair.right_N)):
         if law.slope_m_per_N != 0.0:
-            by = f"the {side} radius follows the load by {1e6 * law.slope_m_per_N:.3g} um/N"
+            by = f"the {side} radius follows the load by {1e6 * law.slope_m_per_N:.3g} µm/N"
             yield f"not in the model: {by}; the model has that at {load:g} N"
     for effect in file.effects:
         yield f"not in the model: effect {effect.effect}; calib.runtime adds it to the motion of a simulator's loop"

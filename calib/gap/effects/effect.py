@@ -35,7 +35,7 @@ class Family(StrEnum):
     CALIBRATION = "calibration", "radii or track are other than believed"
     LOAD = "load", "the radii follow the load"
     TURNING = "turning", "turns come out other than the wheels say"
-    SPEED = "speed", "the way correlates with the speed or with stopping"
+    SPEED = "speed", "the distance changes with the speed or with stops"
     # temperature belongs here: it rises with the day as wear and sessions do, and is told from them by the same runs
     DRIFT = "drift", "the radii drift over the campaign"
     DIRECTION = "direction", "one direction of travel differs from the other"

@@ -99,9 +99,7 @@ class FloorZone(Effect):
     family = Family.FLOOR
     needs = "logs, the poses in one frame"
     separates = "runs that cross the place beside runs that do not"
-    not_transferable = (
-        "what lies at a place of the floor is mended there; a vehicle's correction correlates with it everywhere"
-    )
+    not_transferable = "what lies at a place of the floor is mended there; a vehicle's correction acts everywhere"
     by_place = True
 
     def forms(self, observations: Observations) -> list[Form]:

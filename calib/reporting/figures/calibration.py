@@ -149,10 +149,10 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
         excess = np.maximum(PPM * whole_period_excess(amplitude, wavelength), LEAST_EXCESS_PPM)
         chart.plot(amplitude, excess, ".", ms=4, color=ORANGE, label="runs", rasterized=len(amplitude) > MANY)
         chart.legend(loc="upper left")
-    chart.set(xscale="log", yscale="log", xlabel="amplitude A (m)", ylabel="excess of the path (ppm)")
+    chart.set(xscale="log", yscale="log", xlabel="amplitude A (mm)", ylabel="excess of the path (ppm)")
     chart.set_title("Weave of amplitude A and wavelength λ")
     chart.set_xlim(low, high)
-    chart.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    chart.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{1e3 * value:g}"))
     for axis in (chart.xaxis, chart.yaxis):
         axis.set_minor_formatter(NullFormatter())
     chart.set_ylim(bottom=max(chart.get_ylim()[0], 0.5 * LEAST_EXCESS_PPM))
@@ -259,9 +259,10 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
         chosen = [trace for trace in traces if trace.kind == kind]
         for trace in chosen[:MOST_PATHS]:
             (handles["odometry before"],) = axes.plot(*trace.before_m.T, color=GREY, lw=0.7, alpha=0.7)
-            colours = _coloured(axes, trace, scale, pixels=pixels) or colours
-            (handles["reference"],) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=":")
-            axes.plot(*trace.reference_m[-1:].T, "o", color=INK, ms=2.5)
+            colours = _coloured(axes, trace, scale, pixels=pixels)
+            handles |= {line.get_label(): line for line in axes.lines[-1:] if len(trace.seen) < 2}
+            end = {"marker": "o", "markevery": [-1], "ms": 1.2, "zorder": 4}
+            (handles["reference"],) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=":", **end)
         axes.set_title(f"{kind or 'all runs'} ({len(chosen)})")
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(xlabel="x (m)", ylabel="y (m)")
@@ -272,7 +273,7 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
         figure.colorbar(colours, ax=list(grid), label="odometry after: distance from the reference (mm)", shrink=0.8)
     style.shared_legend(figure, list(handles.values()), list(handles))
     if simulated:
-        figure.text(0.99, 0.01, "SIMULATED DATA", ha="right", color=GREY)
+        figure.text(0.99, 0.99, "SIMULATED DATA", ha="right", va="top", color=GREY)
     return figure
 
 
@@ -287,13 +288,12 @@ def _error_mm(trace: RunTrace) -> FloatArray:
     return np.asarray(1e3 * np.hypot(*trace.residual_after[:, :2].T))
 
 
-def _coloured(axes: Axes, trace: RunTrace, scale: Normalize, *, pixels: bool) -> LineCollection | None:
+def _coloured(axes: Axes, trace: RunTrace, scale: Normalize, *, pixels: bool) -> ScalarMappable:
     error_mm = np.nan_to_num(_error_mm(trace))
     if len(trace.seen) < 2:
-        axes.plot(*trace.after_m.T, color=BLUE, lw=1.0)
+        axes.plot(*trace.after_m.T, color=BLUE, lw=1.0, label="odometry after")
         x, y = trace.after_m[-1:].T
-        axes.scatter(x, y, c=error_mm, norm=scale, cmap="viridis", s=14, zorder=3)
-        return None
+        return axes.scatter(x, y, c=error_mm, norm=scale, cmap="viridis", s=14, zorder=3)
     points = trace.after_m[trace.seen]
     pieces = np.stack([points[:-1], points[1:]], axis=1)
     lines = LineCollection(list(pieces), norm=scale, cmap="viridis", linewidths=1.4, rasterized=pixels)

@@ -175,13 +175,13 @@ def _distribution(fitted: Sequence[VehicleRecord], odd: set[str]) -> Figure:
         lines = [getattr(record, side) for record in fitted]
         for axes, value, ends, scale in (
             (grid[0, column], "radius_ref_m", "radius_ci95_m", 1e3),
-            (grid[1, column], "slope_m_per_N", "slope_ci95_m_per_N", 1e9),
+            (grid[1, column], "slope_m_per_N", "slope_ci95_m_per_N", 1e6),
         ):
             values, intervals = (scale * np.array([getattr(line, key) for line in lines]) for key in (value, ends))
             draw_ordered(axes, values, intervals, marked)
             axes.axhline(float(np.median(values[~marked] if (~marked).any() else values)), color=BLUE, linewidth=0.8)
-        grid[0, column].set(title=f"{side} wheel", ylabel="radius at reference load, mm")
-        grid[1, column].set(ylabel="slope, nm/N", xlabel="vehicles in order of size (orange: stands apart)")
+        grid[0, column].set(title=f"{side} wheel", ylabel="radius at reference load (mm)")
+        grid[1, column].set(ylabel="slope (µm/N)", xlabel="vehicles in order of size (orange: outlying)")
     return figure
 
 
@@ -195,5 +195,5 @@ def _drift(drifts: Sequence[Drift], marked: Sequence[bool]) -> Figure:
     axes = figure.add_subplot()
     draw_ordered(axes, rate, np.column_stack((rate - half, rate + half)), np.array(marked))
     axes.axhline(0.0, color=GREY, linewidth=0.8)
-    axes.set(ylabel="drift of the radius, nm a day", xlabel="wheels in order of drift (orange: drifts)")
+    axes.set(ylabel="drift of the radius (nm/day)", xlabel="wheels in order of drift (orange: drifts)")
     return figure

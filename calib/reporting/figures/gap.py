@@ -303,7 +303,7 @@ def _draw_plan(axes: Axes, signature: EffectSignature, nominal: Path, names: lis
         axes.plot(enlarged.steps.x_m[part], enlarged.steps.y_m[part], color=tint, linewidth=1.1, label=name)
         axes.plot(*enlarged.end[unit, :2], marker="o", markersize=3, color=tint)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel="x, m", ylabel="y, m")
+    axes.set(xlabel="x (m)", ylabel="y (m)")
     bent = signature.factor > 1.0 and bool(np.ptp(enlarged.end[:, :2] - nominal.end[:, :2]) > 0)
     axes.set_title(f"paths, effect x {signature.factor:.3g}" if bent else "paths (the effect bends none)")
 

@@ -74,11 +74,6 @@ def _shades(sweep: Sweep) -> dict[float, str]:
 @styled
 def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
     """Return the routes driven (a) and one error along them (b), as in Figs 12 to 14 and 16."""
-    labels = {
-        "lateral_m": "error to the left of the route (m)",
-        "global_x_m": "error in global x (m)",
-        "distance_m": "distance to the route's pose (m)",
-    }
     figure = canvas(8.0)
     route, graph = figure.subplots(1, 2)
     values = getattr(sweep.errors, error)
@@ -89,8 +84,8 @@ def sweep_figure(sweep: Sweep, *, error: str, title: str) -> Figure:
     if np.ptp(sweep.reference.y_m) >= 1e-9:
         route.set_aspect("equal", adjustable="box")
     route.set(xlabel="x (m)", ylabel="y (m)", title="path of the middle of the rear axle")
-    graph.set(xlabel="distance along the route (m)", ylabel=labels[error], title="error")
-    figure.legend(handles=_sweep_keys(sweep), loc="outside lower center", ncols=9)
+    graph.set(xlabel="distance along the route (m)", ylabel=_AXES[error][0], title="error")
+    figure.legend(handles=_sweep_keys(sweep), loc="outside lower center", ncols=6)
     figure_title(figure, f"{title}; track {sweep.track_m:g} m")
     return figure
 
@@ -134,6 +129,8 @@ def replay_figure(replayed: Replay) -> Figure:
     plan.axvline(0.0, color=INK, linewidth=0.6)
     graph.set(xlabel="load of both rear wheels (N)", ylabel="distance to the reference (m)", title="end error by load")
     graph.set_yscale("log")
+    graph.yaxis.set_major_formatter("{x:g}")
+    graph.yaxis.set_minor_formatter("")
     plan.legend()
     return figure
 
@@ -145,6 +142,7 @@ _AXES: Final = {
     "heading_rad": ("heading (mrad)", 1e3),
     "global_x_m": ("global x (m)", 1.0),
     "global_y_m": ("global y (m)", 1.0),
+    "distance_m": ("distance to the route's pose (m)", 1.0),
 }
 
 #: how the paths of a journey under a law are drawn
@@ -159,7 +157,7 @@ def sweep_errors_figure(sweep: Sweep, *, title: str) -> Figure:
     for name, graph in axes.items():
         for row, style in zip(_AXES[name][1] * getattr(sweep.errors, name), _sweep_styles(sweep), strict=True):
             graph.plot(sweep.distance_m, row, **style)
-    figure.legend(handles=_sweep_keys(sweep)[:-1], loc="outside lower center", ncols=8)
+    figure.legend(handles=_sweep_keys(sweep)[:-1], loc="outside lower center", ncols=6)
     return figure
 
 

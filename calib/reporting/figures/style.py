@@ -119,7 +119,8 @@ def over_runs(axis: Axes, label: str = "run, in the order driven") -> None:
 def draw_ordered(axis: Axes, values: FloatArray, intervals: FloatArray, marked: BoolArray) -> None:
     """Draw values (n,) in order of size with their intervals (n, 2), those `marked` in orange."""
     order = np.argsort(values)
-    place = np.arange(len(order))
+    place = np.arange(1, len(order) + 1)
+    axis.locator_params(axis="x", integer=True)
     axis.vlines(place, *intervals[order].T, color=GREY, linewidth=0.6)
     for chosen, mark, tint, size in ((~marked[order], ".", BLUE, 2.5), (marked[order], "o", ORANGE, 4.0)):
         axis.plot(place[chosen], values[order][chosen], mark, color=tint, markersize=size)

@@ -32,7 +32,6 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
         law_table(fit),
         single_run_text(fit),
         Text(" ".join(map(quality_text, fit.wheels.values()))),
-        *naive_text(fit),
         *([static_table(fit)] if fit.static else []),
         checks_table(fit),
         *([radius_budget(fit)] if fit.radii.budget else []),
@@ -268,17 +267,6 @@ def quality_text(wheel: WheelFit) -> str:
     return text + "."
 
 
-def naive_text(fit: Fit) -> tuple[Text, ...]:
-    """Return the slopes' intervals as if runs were independent."""
-    parts = []
-    for name, wheel in fit.wheels.items():
-        if wheel.naive is not None and wheel.model == "line" and wheel.design != "single":
-            low, high = (UM * end for end in wheel.naive.slope_ci95_m_per_N)
-            _, half = measured(0.5 * (low + high), 0.5 * (high - low))
-            parts.append(f"±{half} µm/N ({name})")
-    return (Text(blocks.paragraph("independent", slopes=" and ".join(parts)), small=True),) if parts else ()
-
-
 def regressions_picture(fit: Fit) -> Picture:
     """Return both laws with their bands."""
     alt = f"Regression of the radius on the load: {'; '.join(map(_law_in_words, fit.wheels.values()))}"
@@ -376,11 +364,13 @@ def deviation_picture(fit: Fit) -> Picture:
 
 #: failed checks of a fit that further runs alone mend
 _OF_MISSING_RUNS: Final = frozenset({"design", "order"})
+#: the only check that fails -> the step
+_OF_ONE_CHECK: Final = {"direction": "fit one way", "temperature": "fit varies"}
 
 
 def after_fit(fit: Fit) -> str:
     """Return the step that a fit was: runs are missing only where nothing else fails."""
     failed = {check.name for wheel in fit.wheels.values() for check in wheel.checks if not check.passed}
-    if failed == {"direction"}:
-        return "fit one way"
+    if len(failed) == 1 and (step := _OF_ONE_CHECK.get(*failed)):
+        return step
     return "fit" if not failed else "fit lacks runs" if failed <= _OF_MISSING_RUNS else "fit failed"

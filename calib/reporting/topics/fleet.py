@@ -61,10 +61,9 @@ def _populations(populations: Mapping[str, Population]) -> list[Table]:
     rows = []
     for name, population in populations.items():
         shown, scale, unit = shown_quantity(name)
-        digits = 1 if unit == "nm/N" else 4
         half = 0.5 * (population.mean_ci95[1] - population.mean_ci95[0])
         numbers = (population.mean, half, population.spread, *population.spread_ci95, population.within)
-        mean, plus, spread, low, high, within = (f"{scale * number:.{digits}f}" for number in numbers)
+        mean, plus, spread, low, high, within = (f"{scale * number:.4f}" for number in numbers)
         rows.append((shown, f"{mean} ± {plus}", spread, f"{low} to {high}", within, unit))
     heads = ("<quantity", "mean", "between", "95 %", "within", "<unit")
     return [table("The fleet; ± is the 95 % interval", heads, rows)] if rows else []

@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.fleet.comparison import shown_quantity
 from calib.kinematics.adequacy import USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
 from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
@@ -30,7 +31,7 @@ def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
 
 def parameter_table(geometry: Geometry) -> Table:
     """Return the parameters with their intervals."""
-    heads = ("<parameter", "nominal", "estimate", "sd", "95 % interval", "change")
+    heads = ("<parameter", "<unit", "nominal", "estimate", "sd", "95 % interval", "change")
     return table("Parameters, with 95 % intervals.", heads, map(_cells, geometry.estimates), dense=True)
 
 
@@ -65,11 +66,14 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
             before, after, held_out, noise = (f"{1e3 * one:{'.3g' if one < 1.0 else '.0f'}} m{unit}" for one in sizes)
             tried = f"{held_out} on held-out runs" if not math.isnan(of.held_out) else "too few runs to hold one out"
             parts.append(f"{what} {before} before, {after} after, {tried}; noise {noise}")
-    measured = [of for of in (judgement.position, judgement.heading) if of.before]
-    gained = not all(of.held_out > USELESS_SHARE * of.before for of in measured)
-    idle = ["On held-out runs it is no better than the nominal values: nothing is gained by it"] if not gained else []
-    why = (*(idle if geometry.passed else ()), *geometry.why)
+    idle = ["On held-out runs it is no better than the nominal values: nothing is gained by it"]
+    why = (*(idle if _idle(geometry) else ()), *geometry.why)
     return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in why)]
+
+
+def _idle(geometry: Geometry) -> bool:
+    measured = [of for of in (geometry.judgement.position, geometry.judgement.heading) if of.before]
+    return geometry.passed and all(of.held_out > USELESS_SHARE * of.before for of in measured)
 
 
 def geometry_sentences(geometry: Geometry) -> list[str]:
@@ -98,11 +102,11 @@ def geometry_remarks(geometry: Geometry) -> list[str]:
 
 
 def _cells(estimate: Estimate) -> tuple[str, ...]:
-    digits = places(estimate.std)
-    low, high = (f"{value:.{digits}f}" for value in estimate.ci95)
+    name, factor, unit = shown_quantity(estimate.name)
+    digits = places(factor * estimate.std)
+    value, std, low, high = (f"{factor * x:.{digits}f}" for x in (estimate.value, estimate.std, *estimate.ci95))
     change = f"{100.0 * (estimate.value / estimate.nominal - 1.0):+.2f} %" if estimate.nominal else ""
-    value = f"{estimate.value:.{digits}f}"
-    return (estimate.name, f"{estimate.nominal:.6g}", value, f"{estimate.std:.2g}", f"{low} to {high}", change)
+    return (name, unit, f"{factor * estimate.nominal:.6g}", value, std, f"{low} to {high}", change)
 
 
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:
@@ -188,4 +192,6 @@ def after_geometry(geometry: Geometry, output: Path | None) -> str:
     """Return the step that a geometry was; `output`: the coefficient file that was written."""
     if any("straight runs alone" in one for one in geometry.why):
         return "geometry lengths"
-    return "geometry failed" if not geometry.passed else "geometry" if output is None else "geometry --output"
+    if not geometry.passed:
+        return "geometry failed"
+    return "geometry --output" if output is not None else "geometry idle" if _idle(geometry) else "geometry"

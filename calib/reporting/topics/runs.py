@@ -163,7 +163,7 @@ def _grouped(notes: Sequence[Note]) -> list[str]:
 def _verdict(report: CheckReport) -> Notice:
     wrong, suspicious = len(report.wrong), len(report.suspicious)
     if report.verdict == "wrong":
-        return Notice("bad", f"Wrong: {plural(wrong, 'fault')}", "Correct them before you compute anything.")
+        return Notice("bad", f"Wrong: {plural(wrong, 'fault')}", "Correct what is named before you compute anything.")
     if report.verdict == "look at this":
         text = f"No fault, and {plural(suspicious, 'thing')} that may spoil the result; decide before you rely on it."
         return Notice("note", "Look at this", text)

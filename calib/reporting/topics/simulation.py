@@ -35,12 +35,7 @@ _FACTORS: Final = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global
 
 def simulation_content(simulation: Simulation) -> tuple[Block, ...]:
     """Return what a simulation says."""
-    # a law alone has one case, whose radii are those believed
-    blocks: list[Block] = [
-        _sweep(name, sweep)
-        for name, sweep in simulation.sweeps.items()
-        if simulation.law is None or any((case.left, case.right) != (1.0, 1.0) for case in sweep.cases)
-    ]
+    blocks: list[Block] = [_sweep(name, sweep) for name, sweep in _sweeps(simulation)]
     if simulation.headlines:
         blocks.append(_headline(simulation))
     if simulation.law is not None:
@@ -48,6 +43,15 @@ def simulation_content(simulation: Simulation) -> tuple[Block, ...]:
         if len(simulation.law.path.loading.from_m) > 1:
             blocks += _path(simulation.law.path, list(simulation.sweeps.values())[-1].route.name)
     return tuple(blocks)
+
+
+def _sweeps(simulation: Simulation) -> list[tuple[str, Sweep]]:
+    # a law alone has one case, whose radii are those believed
+    return [
+        (name, sweep)
+        for name, sweep in simulation.sweeps.items()
+        if simulation.law is None or any((case.left, case.right) != (1.0, 1.0) for case in sweep.cases)
+    ]
 
 
 def _sweep(name: str, sweep: Sweep) -> Table:
@@ -101,10 +105,10 @@ def _journeys(part: LawPart) -> Table:
         loads = f"{journey.load_left_N:.0f} / {journey.load_right_N:.0f}"
         numbers = (fixed(journey.radius_ratio, 5), *(fixed(size, 4) for size in sizes))
         times_smaller = f"{journey.ratio:.1f} [{low:.1f}, {high:.1f}]"
-        rows.append((loads, "mean" if journey.band == "mean" else "run", *numbers, times_smaller))
+        rows.append((f"{loads}, {'mean' if journey.band == 'mean' else 'run'}", *numbers, times_smaller))
     bands = ("e_y ± | linear (m)", "e_y ± | Monte Carlo (m)")
     errors = ("Without | rms (m)", "With | rms (m)", "With | 95 % (m)")
-    heads = ("<Loads L / R", "<Band", "E_r", *errors, *bands, "Times smaller [95 %]")
+    heads = ("<Loads L / R, band", "E_r", *errors, *bands, "Times smaller [95 %]")
     return table(caption("table-journeys"), heads, rows)
 
 
@@ -199,7 +203,7 @@ def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> li
 
     figures: dict[str, Figure] = {}
     tables: dict[str, Sequence[Mapping[str, Any]]] = {}
-    for name, sweep in simulation.sweeps.items():
+    for name, sweep in _sweeps(simulation):
         figures[name] = motion.sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
         figures[f"{name}_errors"] = motion.sweep_errors_figure(sweep, title=simulation.title)
         tables |= {name: sweep.ends(), f"{name}_errors": sweep.along()}
