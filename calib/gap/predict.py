@@ -212,10 +212,7 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
 
 
 def _between_arcs(reading: FloatArray, perturbation: Perturbation, steps: Steps) -> None:
-    """Move each reading's end (n_obs, n_channels) along its arc, and see it from the end of the start's, in place.
-
-    Over 0.3 s in a turn arc and tangent differ by centimetres.
-    """
+    """Move each reading's end (n_obs, n_channels) along its arc, and see it from the end of the start's, in place."""
     place = reading[:, Channel.ALONG] + 1j * reading[:, Channel.LATERAL]
     end_arc, start_arc = perturbation.end_arc, perturbation.start_arc
     if perturbation.delay_s is not None:

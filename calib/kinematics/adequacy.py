@@ -215,10 +215,7 @@ def judged(
 
 
 def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
-    """Return the segments judged: all but few single bad runs.
-
-    Where all replicates are outliers, they are no single bad ones.
-    """
+    """Return the segments judged: all but few single bad runs, no replicates that are all outliers."""
     segments, recording = whole.segments, whole.recording
     bad: BoolArray = np.isin(recording.run_id, list(outliers))
     used: BoolArray = ~bad[segments.run]

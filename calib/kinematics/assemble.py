@@ -129,10 +129,7 @@ def _gyro_alone(fitted: Fitted) -> bool:
 
 
 def _whole(model: Model) -> Model:
-    """Return the model of whole runs where many have end poses, else of the longest windows.
-
-    The end of one long recording shows little but the heading noise gathered by then.
-    """
+    """Return the model of whole runs where many have end poses, else of the longest windows."""
     known = np.isfinite(model.recording.end_pose[:, :2]).all(axis=1)
     if known.sum() >= ENOUGH_RUNS or model.segments.are_runs_of(model.recording):
         return replace(model, segments=end_pose_segments(model.recording))

@@ -235,8 +235,7 @@ def _at_times(
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
     """Return the weights of four samples in a cubic between the inner two, shape (4, n) as `t_s`.
 
-    An inner sample's velocity is the mean of the steps on both sides. A chord would cut curves and lag behind a vehicle
-    that speeds up, by a constant share of a step wherever the delay is no whole number of steps.
+    A chord would cut curves and lag behind a vehicle that speeds up.
     """
     before, span, after = np.diff(t_s, axis=0)
     span = np.where(span > 0.0, span, np.inf)

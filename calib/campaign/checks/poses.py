@@ -90,7 +90,7 @@ def _longer(campaign: Campaign, most: float) -> FloatArray:
 def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[tuple[str, int, float, float]]:
     """Yield where a median many standard errors off exceeds what is allowed: in all sessions, else in single ones.
 
-    `values`: of each run, NaN where unknown. With the number of runs, the median and its standard error.
+    With the number of runs, the median and its standard error; `values`: NaN where unknown.
     """
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < _LEAST_STRAIGHT_RUNS:
@@ -110,8 +110,8 @@ def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[
 def _bows(campaign: Campaign) -> _Bows:
     """Return how far nearly straight runs bow out; nothing where too few were measured and logged.
 
-    The bow is the end's offset less half the end's heading times the distance. Unequal wheels, which scatter from run
-    to run, turn a run in proportion to the distance and leave its bow alone; a wrong track scales it.
+    That is the end's offset less half its heading times the distance: unequal wheels leave it alone, a wrong track
+    scales it.
     """
     runs, logs = campaign.runs, campaign.logs
     theta = runs.number("ref_theta_rad")
@@ -316,8 +316,7 @@ def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
 def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
     """Compare headings with those of the counts beside unequal wheels, which turn in proportion to the distance.
 
-    Radii that scatter with the load make small headings of nearly straight runs follow the counts less than once, never
-    the other way round.
+    Radii that scatter with the load make small headings follow the counts less than once, never more.
     """
     theta, turned = campaign.runs.number("ref_theta_rad"), design.turned_rad(campaign)
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)

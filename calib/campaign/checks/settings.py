@@ -166,7 +166,7 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
 def _coarse_step(values: FloatArray, resolution: float) -> float | None:
     """Return the step that all values are multiples of apart, where far above a resolution; else None.
 
-    A few steps suffice where the same values recur, as noise of that resolution would not.
+    Few steps suffice where the same values recur.
     """
     found, times = np.unique(values[np.isfinite(values)][:MOST_POSES], return_counts=True)
     steps = np.diff(found)

@@ -212,10 +212,7 @@ def _with_reference_load(work: _Ingestion, runs: RunTable) -> OdometryModel:
 
 
 def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable | None:
-    """Return a source as run table; None where it is a log or recording.
-
-    `named`: it has to have the column that names runs.
-    """
+    """Return a source as run table; None where it is a log or recording. `named`: a column has to name runs."""
     if not path.exists():
         raise BadInputError(f"{path}: found no such file; expected a run table or a recording; correct the path")
     if path.is_dir() or holds_recording(path):
@@ -253,10 +250,7 @@ def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: _
 
 
 def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
-    """Return the runs of several sheets, one after another, or by numbers of each sheet's own.
-
-    Repeated names get the sheet's before them.
-    """
+    """Return the runs of several sheets, one after another; repeated names get the sheet's before them."""
     given, tables = work.mapping.table, []
     for sheet in given.sheets:
         shown = f"{path}, sheet {sheet!r}"

@@ -60,10 +60,7 @@ def _inside(sources: Sequence[Path]) -> str:
 
 
 def _files_inside(folder: Path) -> list[Path]:
-    """Return a folder's readable files, and its folders' where it has one at most.
-
-    So a run table stands beside folders of logs; campaigns are omitted.
-    """
+    """Return a folder's readable files, and its folders' where it has one at most; campaigns are omitted."""
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     known, is_bag = readers.READERS, readers.is_bag_folder
     files = [path for path in inside if is_bag(path) or (path.is_file() and path.suffix.lower() in known)]
@@ -203,10 +200,7 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
 
 
 def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
-    """Return a table as read, turned where each run stands in a column.
-
-    Its first column then has more names of calib's than the header.
-    """
+    """Return a table as read, turned where its first column has more names of calib's than the header."""
     turned, n_turned = replace(layout, runs_in_columns=True), 0
     with suppress(BadFileError):
         other = read_table(path, shown, None, turned)

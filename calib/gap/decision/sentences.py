@@ -84,10 +84,7 @@ def _unsupported(diagnosis: Diagnosis) -> str:
 
 
 def _but_single_runs(diagnosis: Diagnosis) -> str:
-    """Return, as the end of a clause, the runs beyond the reach of noise of so many readings.
-
-    Such a run speaks of itself, not of the vehicle.
-    """
+    """Return, as the end of a clause, the runs beyond the reach of noise of so many readings."""
     reach = reach_of_noise(diagnosis.noise_level.dof, sum(line.n_units for line in diagnosis.where.channels))
     off = [
         f"{run.name} ({run.channel.label} {1e3 * run.value:+.3g} m{run.channel.unit})"

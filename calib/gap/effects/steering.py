@@ -221,8 +221,7 @@ def _noise_rad(observations: Observations, angle: FloatArray) -> float:
 def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
     """Return the steering angle that the rear wheels' turn tells, shape (n_steps,); NaN where the vehicle hardly moves.
 
-    The bend is a straight line's slope through the headings to either side: coarse counts add little noise. Its median
-    on the straight is taken off: unequal radii are no steering.
+    By a line through the headings to either side, less the median on the straight: unequal radii are no steering.
     """
     steered = np.concatenate([_bend_rad(part) for part in observations.parts()])
     straight = (np.abs(angle) < TURN_ANGLE_RAD) & np.isfinite(steered)
@@ -267,8 +266,7 @@ def _side_by_side(observations: Observations) -> tuple[IntArray, IntArray]:
 def _lost_in_play(observations: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:
     """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
 
-    The output waits until the input has crossed the play: a recursion by steps, over all units at once. A play below
-    `least` is taken up by the last move above the noise.
+    A recursion by steps, over all units at once. A play below `least` is taken up by the last move above the noise.
     """
     wide = max(play, least)
     index, step = _side_by_side(observations)

@@ -170,10 +170,7 @@ def _log_evidence(
 
 
 def _beside_wide(sums: Sums, priors: FormPriors, models: Sequence[tuple[int, ...]], best: float) -> FloatArray:
-    """Return what `_batch` does of models with the wide form, (n_scales, n_models).
-
-    Not weighed where even the largest sizes leave too much of the gap.
-    """
+    """Return what `_batch` does of models with the wide form; not weighed where even the largest leaves too much."""
     value, wide = np.full((len(sums.square), len(models)), -np.inf), priors.layout.wide
     index, owner = priors.index([tuple(form for form in model if form != wide) for model in models])
     prior, columns = priors.priors(models), np.unique(index[index >= 0])

@@ -270,10 +270,7 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
 
 
 def _near(moved: _Settled, left: Fitted) -> _Settled | None:
-    """Return where a search has moved to, None where that leaves far more than before.
-
-    Without a lack of fit more forms leave no more; where they do, the path is not their optimum's.
-    """
+    """Return where a search has moved to, None where that leaves far more: the path is then not the optimum's."""
     local, fitted = moved
     most = _OUTDONE * max(left.chi_square, float(len(local.system.gap)))
     own = {id(form) for form in fitted.forms}

@@ -294,10 +294,7 @@ def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what
 
 
 def _slope(design: FloatArray, gap: FloatArray, run: IntArray) -> tuple[float, float, float]:
-    """Return the second coefficient of a regression (n, 2), its error and dof, clustered by run if runs suffice.
-
-    statsmodels divides clustered squares by other dof than its t's.
-    """
+    """Return the second coefficient of a regression (n, 2), its error and dof, clustered by run if runs suffice."""
     gram = np.linalg.inv(design.T @ design + 1e-12 * np.eye(2))
     beta = gram @ (design.T @ gap)
     left = gap - design @ beta

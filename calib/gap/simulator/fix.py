@@ -247,10 +247,7 @@ def _asked(
     derivative: FloatArray,
     typical: FloatArray,
 ) -> _Asked:
-    """Return what a table (n_runs, 4) leaves of a gap (n_obs, n_channels), and what corrects it.
-
-    `derivative`: (n_runs, 4, n_named).
-    """
+    """Return what a table (n_runs, 4) leaves of a gap (n_obs, n_channels), and what corrects it."""
     rows = differences.rows(path.s)
     gap = left - in_end_frame(path, difference(table, differences.nominal)[rows])
     columns = [
