@@ -213,8 +213,10 @@ class _Task:
                 else:
                     parts.append(f"tells {told}{' more surely' if before[k] >= SEPARATION_SD else ''}")
             return ", ".join(parts)
-        clear = [names[self.truths[k]] for k in gains if after[k] >= SEPARATION_SD]
-        return f"shows {', '.join(clear or [names[self.truths[k]] for k in gains])}" + ("" if clear else " better")
+        # what the runs before did not show
+        new = [k for k in gains if before[k] < SEPARATION_SD]
+        clear = [k for k in new if after[k] >= SEPARATION_SD]
+        return f"shows {', '.join(names[self.truths[k]] for k in clear or new or gains)}{' better' * (not clear)}"
 
 
 def _measured(campaign: Campaign) -> Measured:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.identifiability import noise_at, outlook_of, undetectable
-from calib.gap.plan.next_runs import next_runs, read_plan, with_next
+from calib.gap.plan.next_runs import _Task, next_runs, read_plan, with_next
 from calib.gap.plan.planned_runs import (
     Measured,
     PlannedRun,
@@ -305,3 +306,13 @@ def test_counts_lost_with_the_speed_are_told_from_radii_by_a_second_speed() -> N
     runs = next_runs(driven, library(s), noise, ties, candidates=candidates)
     assert [run.speed_mps for run in runs] == [0.25]
     assert "tells lost_counts from radius_scale" in runs[0].why
+
+
+@pytest.mark.parametrize(
+    ("after", "why"), [([4.7, 1.4], "shows b better"), ([4.7, 3.2], "shows b"), ([5.0, 0.7], "shows a better")]
+)
+def test_a_run_is_named_by_what_the_runs_before_did_not_show(after: list[float], why: str) -> None:
+    """An effect that shows already is no reason for a run that adds to another one."""
+    task = object.__new__(_Task)
+    task.pairs, task.truths, task.signatures = [], [0, 1], SimpleNamespace(names=("a", "b"))
+    assert task.why(np.array([4.5, 0.7]), np.array(after)) == why
