@@ -316,8 +316,10 @@ class Task:
         """Return what a run tells apart or shows, or begins to where the next go on to distances `told`."""
         gains, parts = self.gains(before, after), list[str]()
         if not self.tied:
-            clear = [self.names[k] for k in gains if after[k] >= SEPARATION_SD]
-            shown = f"shows {', '.join(clear or [self.names[k] for k in gains])}" + ("" if clear else " better")
+            # what the runs before did not show
+            new = [k for k in gains if before[k] < SEPARATION_SD]
+            clear = [k for k in new if after[k] >= SEPARATION_SD]
+            shown = f"shows {', '.join(self.names[k] for k in clear or new or gains)}{' better' * (not clear)}"
             return shown if gains else ""
         for k in (k for k in gains if told[k] >= SEPARATION_SD):
             tells, surely = after[k] >= SEPARATION_SD, " more surely" * bool(before[k] >= SEPARATION_SD)

@@ -26,7 +26,7 @@ from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.identifiability import SEPARATION_SD, Apart, noise_at, outlook_of, undetectable
+from calib.gap.plan.identifiability import SEPARATION_SD, Apart, Task, noise_at, outlook_of, undetectable
 from calib.gap.plan.next_runs import next_runs, read_plan, with_next
 from calib.gap.plan.planned_runs import (
     Measured,
@@ -369,3 +369,12 @@ def test_loads_that_went_with_the_direction_are_to_be_driven_both_ways() -> None
     assert any(not run.payload_kg for run in told)
     crossed = called(drive(base(), [*runs, *(replace(run, direction="back") for run in runs)], Measured()))
     assert not any("both ways" in run.why for run in next_runs(crossed, library(s), noise, most=1))
+
+
+@pytest.mark.parametrize(
+    ("after", "why"), [([4.7, 1.4], "shows b better"), ([4.7, 3.2], "shows b"), ([5.0, 0.7], "shows a better")]
+)
+def test_a_run_is_named_by_what_the_runs_before_did_not_show(after: list[float], why: str) -> None:
+    """An effect that shows already is no reason for a run that adds to another one."""
+    task = Task(lambda _sets: np.zeros((0, 2)), ("a", "b"), tied=False)
+    assert task.why(np.array([4.5, 0.7]), np.array(after), np.array(after)) == why
