@@ -1,9 +1,13 @@
-"""What all stages share: types of arrays, the callback that reports progress, and operations on samples and poses."""
+"""What all stages share: types of arrays, progress, operations on samples and poses, units.
+
+Inside the package everything is SI (m, rad, s, kg, N, degrees Celsius for floor temperature): the unit suffixes of
+columns and keys are converted at the border.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -76,3 +80,88 @@ def evenly(count: int, most: int) -> IntArray:
 def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:
     """Return the rows of columns of equal length (n,), each a mapping by name."""
     return [dict(zip(columns, row, strict=True)) for row in np.stack(list(columns.values()), axis=1).tolist()]
+
+
+GRAVITY_MPS2: Final = 9.81
+
+#: suffix as calib writes it -> suffixes as labs write it, each with its factor
+_FACTORS: Final[dict[str, dict[str, float]]] = {
+    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "ft": 0.3048, "in": 0.0254},
+    "kg": {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237},
+    "N": {"N": 1.0, "kN": 1e3, "daN": 10.0, "kgf": 9.80665, "lbf": 4.4482216152605},
+    "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
+    "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "day": 86400.0},
+    "mps": {"mps": 1.0, "kmh": 1 / 3.6, "mmps": 1e-3},
+    "radps": {"radps": 1.0, "degps": 0.017453292519943295},
+    "C": {"C": 1.0, "K": 1.0, "F": 5 / 9},
+}
+_OFFSETS: Final = {"K": -273.15, "F": -160 / 9}
+#: suffix as labs write it -> (suffix as calib writes it, factor, offset): calib value = factor * value + offset
+SUFFIXES: Final[dict[str, tuple[str, float, float]]] = {
+    name: (suffix, factor, _OFFSETS.get(name, 0.0)) for suffix, of in _FACTORS.items() for name, factor in of.items()
+}
+
+#: how people write a unit, in lower case -> suffix as in `SUFFIXES`; those that differ by case alone are in `_CASED`
+_SPELLINGS: Final[dict[str, str]] = {
+    spelling: unit
+    for unit, spellings in {
+        "m": "meter, meters, metre, metres",
+        "mm": "millimeter, millimeters, millimetre, millimetres",
+        "cm": "centimeter, centimeters, centimetre, centimetres",
+        "um": "µm, μm, micron, microns",
+        "in": 'inch, inches, "',
+        "ft": "foot, feet",
+        "day": "days, tage",
+        "kg": "kilogram, kilograms, kilogramm, kgs",
+        "g": "gram, grams, gramm",
+        "t": "tonne, tonnes, tonnen",
+        "N": "newton, newtons",
+        "kN": "kn, kilonewton",
+        "daN": "dan",
+        "kgf": "kp",
+        "lb": "lbs, pound, pounds",
+        "rad": "radian, radians, radiant",
+        "deg": "°, º, degree, degrees",
+        "s": "sec, secs, second, seconds, sek, sekunden",
+        "ms": "msec, millisecond, milliseconds, millisekunden",
+        "us": "µs, μs, usec, microsecond, microseconds",
+        "ns": "nsec, nanosecond, nanoseconds",
+        "mps": "m/s, m/sec, m*s^-1, m·s⁻¹, m s-1, m s^-1",
+        "kmh": "km/h, kph, kmph",
+        "mmps": "mm/s, mm/sec",
+        "radps": "rad/s, rad/sec",
+        "degps": "deg/s, deg/sec, °/s, dps",
+        "C": "°c, ºc, ℃, degc, deg c, celsius, grad celsius, degrees celsius",
+        "K": "kelvin",
+        "F": "°f, ºf, degf, deg f, fahrenheit",
+    }.items()
+    for spelling in spellings.split(", ")
+}
+#: a German degree begins with a capital; the English grad is a hundredth of a right angle
+_CASED: Final = {"Grad": "deg"}
+
+
+def unit_named(text: str) -> str | None:
+    """Return the unit of `SUFFIXES` that a text names as people write it (``mm/s``, ``°C``, ``seconds``), or None."""
+    clean = text.strip()
+    return clean if clean in SUFFIXES else _CASED.get(clean) or _SPELLINGS.get(clean.lower())
+
+
+def split_suffix(name: str) -> tuple[str, str | None]:
+    """Split a column name into its stem and its unit suffix.
+
+    `name`: for example ``distance_mm``. Returns `stem`: ``distance``; `suffix`: ``mm``, or None where the name ends in
+    no known unit.
+    """
+    stem, sep, suffix = name.rpartition("_")
+    return (stem, suffix) if sep and suffix in SUFFIXES else (name, None)
+
+
+def convertible(name: str, wanted: str) -> tuple[float, float] | None:
+    """Return (factor, offset) that turn column `name` into column `wanted`, or None where they do not match."""
+    stem, suffix = split_suffix(name)
+    wanted_stem, wanted_suffix = split_suffix(wanted)
+    if suffix is None or wanted_suffix is None or stem != wanted_stem:
+        return None
+    target, factor, offset = SUFFIXES[suffix]
+    return (factor, offset) if target == wanted_suffix else None

@@ -10,8 +10,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from calib.errors import SWEEP_VALUES, BadInputError, RefusedError
-from calib.types import FloatArray, floats, rows_of
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2, FloatArray, floats, rows_of
 
 Drive = Literal["tricycle", "differential", "mecanum", "ackermann", "skid"]
 #: below it a length or a mass is a typing error

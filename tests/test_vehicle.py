@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.errors import RefusedError
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2
 from calib.vehicle import Vehicle, check_wheel_loads, payload_from_wheel_loads, wheel_loads_N
 
 PRINTED_N = 0.005  # loads are printed to 0.01 N

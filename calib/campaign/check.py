@@ -20,8 +20,7 @@ from calib.campaign.checks.measurements import MOST_RATIO, implausible_distances
 from calib.campaign.checks.poses import implausible_poses
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
-from calib.types import FloatArray, Progress, silent, stepped
-from calib.units import split_suffix
+from calib.types import FloatArray, Progress, silent, split_suffix, stepped
 from calib.vehicle import Usual
 
 

@@ -14,8 +14,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from calib.errors import BadFileError
-from calib.types import FloatArray
-from calib.units import GRAVITY_MPS2, SUFFIXES, convertible, split_suffix, unit_named
+from calib.types import GRAVITY_MPS2, SUFFIXES, FloatArray, convertible, split_suffix, unit_named
 from calib.vehicle import Positive, Usual, Vehicle
 
 Frame = Literal["start", "map"]

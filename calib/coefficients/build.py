@@ -26,8 +26,7 @@ from calib.coefficients.sections import Quantity, VehicleSection, WheelSection, 
 from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 from calib.radius.result import Fit, is_result, read_result
-from calib.types import FloatArray
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2, FloatArray
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:

@@ -10,8 +10,7 @@ import numpy as np
 
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design
-from calib.types import FloatArray
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2, FloatArray
 from calib.vehicle import Vehicle
 
 

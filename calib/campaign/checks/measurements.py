@@ -15,8 +15,7 @@ from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
-from calib.types import BoolArray, FloatArray
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2, BoolArray, FloatArray
 from calib.vehicle import Vehicle
 
 

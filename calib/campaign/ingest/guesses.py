@@ -23,8 +23,7 @@ from calib.campaign.readers.recording import Recording, Stream
 from calib.campaign.readers.sheets import COUNT_UNITS, unit_spelled
 from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import bracketed, recognise, spelled
-from calib.types import BoolArray, FloatArray, floats
-from calib.units import SUFFIXES, split_suffix
+from calib.types import SUFFIXES, BoolArray, FloatArray, floats, split_suffix
 
 #: behind the side: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(

@@ -21,7 +21,7 @@ from calib.campaign.settings import bracketed
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
 from calib.io import inside
-from calib.units import GRAVITY_MPS2, SUFFIXES, split_suffix
+from calib.types import GRAVITY_MPS2, SUFFIXES, split_suffix
 
 #: a column of the run table: the sheet's name, where runs stand on several
 SHEET: Final = "sheet"

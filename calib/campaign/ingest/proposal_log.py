@@ -17,7 +17,7 @@ from calib.campaign.readers.recording import StreamContents
 from calib.campaign.readers.sheets import UNNAMED
 from calib.campaign.settings import recognise
 from calib.campaign.settings_file import toml_value
-from calib.units import split_suffix, unit_named
+from calib.types import split_suffix, unit_named
 
 #: no evidence of a wheel alone: l, r, li, re
 _SHORT_NAME: Final = 2

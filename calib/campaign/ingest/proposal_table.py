@@ -16,8 +16,7 @@ from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.readers.sheets import SECTION
 from calib.campaign.settings import WHEEL_LOADS, bracketed, recognise
 from calib.campaign.settings_file import toml_value
-from calib.types import grouped
-from calib.units import SUFFIXES, split_suffix
+from calib.types import SUFFIXES, grouped, split_suffix
 
 
 def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str, object] | None = None) -> str:

@@ -29,8 +29,7 @@ from calib.campaign.readers.table import (
     turned,
 )
 from calib.errors import BadFileError
-from calib.types import FloatArray, grouped
-from calib.units import unit_named
+from calib.types import FloatArray, grouped, unit_named
 
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 #: delimiter -> all bytes but it and line feeds

@@ -18,7 +18,7 @@ from calib.campaign.model import Note
 from calib.campaign.readers import table
 from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, is_filled, is_number
 from calib.errors import BadFileError
-from calib.units import SUFFIXES, unit_named
+from calib.types import SUFFIXES, unit_named
 
 #: as read
 Rows = list[Sequence[Any]]

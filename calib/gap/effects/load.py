@@ -12,8 +12,7 @@ from calib.gap.effects.quantities import loads_vary, mean_radius_m, reach, same_
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.predict import Path
 from calib.gap.steps import Perturbation
-from calib.types import BoolArray, FloatArray
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2, BoolArray, FloatArray
 from calib.vehicle import wheel_loads_N
 
 

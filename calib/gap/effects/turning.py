@@ -28,8 +28,7 @@ from calib.gap.effects.steering import excess, front_travel_m, front_turn_rad, h
 from calib.gap.observations.arrays import POSE, Observations
 from calib.gap.predict import Path
 from calib.gap.steps import Perturbation
-from calib.types import FloatArray
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2, FloatArray
 
 #: what slip of the typical size makes of a run is not seen below this
 LEAST_SLIP_M: Final = 1e-4

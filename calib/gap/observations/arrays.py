@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 from calib.campaign.settings import OdometryModel
 from calib.gap.observations.observation import let_go
 from calib.odometry.routes import radii_of_model
-from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2, BoolArray, FloatArray, IntArray, StrArray, floats
 from calib.vehicle import Vehicle
 
 

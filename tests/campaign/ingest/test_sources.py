@@ -14,7 +14,7 @@ from calib.campaign.ingest.mapping import LogSection, MappedColumn, expected_nam
 from calib.campaign.ingest.proposal_table import name_pattern
 from calib.campaign.model import Campaign
 from calib.errors import CalibError
-from calib.units import GRAVITY_MPS2, SUFFIXES, unit_named
+from calib.types import GRAVITY_MPS2, SUFFIXES, unit_named
 
 RUNS = "Run;Label;Day;Dist\n;;;mm\n1;A;Mon;40100\n2;B;;40200\n3;A;Tue;40300\n4;B;;40400\n"
 MAPPING = 'counts_left = {value = 1000}\ncounts_right = {value = 1001}\nrun_id = "Run"\nkind = {value = "corridor"}\n'

@@ -13,7 +13,7 @@ from calib.campaign.ingest.build import ingest
 from calib.campaign.ingest.describe import describe
 from calib.campaign.model import Campaign
 from calib.errors import BadFileError
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2
 
 #: metres and counts of three runs
 WAY_M, LEFT, RIGHT = (20.1, 19.9, 20.05), (131361, 129811, 130700), (131106, 129561, 130450)

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, field
 
 from calib.errors import BadInputError
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
 __all__ = ["Floor", "Machine", "Payload", "Tyre", "Zone", "mjcf"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.errors import BadInputError, CalibError
-from calib.units import GRAVITY_MPS2
+from calib.types import GRAVITY_MPS2
 from tests.plant.contact.baseline import rolling_radii_m
 from tests.plant.contact.driver import Belief
 from tests.plant.contact.engine import engine
