@@ -304,10 +304,7 @@ def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
 
 
 def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[str]:
-    """Yield what parts of runs show: closed loops end alike in a mirror, and replicates of two vehicles as noise.
-
-    `noise_m`: usual one of a position.
-    """
+    """Yield what parts of runs show: closed loops end alike in a mirror, and replicates of two vehicles as noise."""
     segments, solution, free = fitted.model.segments, fitted.solution, fitted.parameters.free
     used = _used(fitted.model, outliers) & (segments.level > 0) & segments.seen.all(axis=1)
     if not used.any():

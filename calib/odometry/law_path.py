@@ -372,10 +372,7 @@ def law_journey(
 def _scatter(
     law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray, list[float], FloatArray]:
-    """Return a root (3, k) of the covariance of radii and track, drawn scales (1 or 2, draws), dof, errors (3, draws).
-
-    Wheels fitted apart have a scale each.
-    """
+    """Return a root (3, k) of the covariance of radii and track, drawn scales (1 or 2, draws), dof, errors."""
     dof = [
         float(w.dof_of(w.contrast(load), single_run=single))
         for w, load in zip((law.left, law.right), loads_N, strict=True)

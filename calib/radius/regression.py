@@ -362,10 +362,7 @@ def _cosine(one: FloatArray, other: FloatArray) -> float:
 
 
 def _shared(one: FloatArray, other: FloatArray, alike: float) -> FloatArray:
-    """Return the covariance (2, 2) of fully correlated errors by each wheel's own; `alike`: correlation of the loads.
-
-    A wheel's errors are those of its mean radius and, independently, of its slope about the mean load.
-    """
+    """Return the covariance (2, 2) of fully correlated errors; `alike`: correlation of the loads."""
     slopes, sizes = [], []
     for own in (one, other):
         slope = own[:, 1] / np.sqrt(own[1, 1]) if own[1, 1] > 0.0 else np.zeros(2)

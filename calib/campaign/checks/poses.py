@@ -78,10 +78,7 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
 
 
 def _longer(campaign: Campaign, most: float) -> FloatArray:
-    """Return by how much distances exceed those of the end poses, shape (n_runs,).
-
-    NaN but for nearly straight runs, and beyond the share `most`.
-    """
+    """Return by how much distances of nearly straight runs exceed those of the end poses by up to `most`, else NaN."""
     runs = campaign.runs
     distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
     return np.where(_straight(campaign) & (np.abs(distance - away) < most * away), distance - away, np.nan)

@@ -127,11 +127,7 @@ def describe(sources: Sequence[Path]) -> Description:
 
 
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:
-    """Return the run table: a column of names, and more than a clock beside it.
-
-    Or one with distances and counts beside what a run has one of, without a clock. `n_files`: in all; without a known
-    name, the one table among logs with a row each is it.
-    """
+    """Return the run table: with names, or distances and counts without a clock; else that with a row for each log."""
     best, best_score = None, 0
     for file in files:
         guesses = {guessed_table_column(column.name) for column in file.columns} - {None}
@@ -181,10 +177,7 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
 
 
 def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> list[str]:
-    """Return the sections of vehicle and instruments, each key a remark.
-
-    `bits`: the counters' width where it shows; `named`: calib's columns in the logs; `own`: their lines.
-    """
+    """Return the sections of vehicle and instruments, each key a remark; `bits`: the counters' width if it shows."""
     turned = [line for line in own if line.startswith("counts_")]
     wheels = next((name for name in _OTHER_WHEELS if name in named and "counts_left" not in named), "")
     drives = '#drive =   # "tricycle" (assumed), "differential", "mecanum", "ackermann", "skid"'

@@ -363,10 +363,7 @@ def mecanum_diagonals(file: CoefficientFile) -> Diagonals:
 def _diagonals(
     file: CoefficientFile, rates: FloatArray, covariance: FloatArray, reading: tuple[float, float] = (0.0, 0.0)
 ) -> Diagonals:
-    """Return the diagonals from the change of path and heading by each parameter; see the head of this file.
-
-    `reading`: variances of path in m^2 and heading in rad^2 by reading each encoder once.
-    """
+    """Return the diagonals from the change of path and heading by each parameter; see the head of this file."""
     of_path, of_heading = reading
     stretch, bend, turn = (float(variance) for variance in np.einsum("ij,jk,ik->i", rates, covariance, rates))
     along, heading = file.noise.along.value**2, file.noise.heading.value**2

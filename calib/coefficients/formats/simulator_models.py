@@ -149,10 +149,7 @@ def _add(candidates: dict[str, list[Node]], name: str, node: Node) -> None:
 
 
 def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
-    """Return the place of a wheel whose link states none: its collision's; all poses inside and its joint move.
-
-    None where a shape has no pose, or one relative to another frame.
-    """
+    """Return the place of a wheel whose link states none: its collision's, if it has a pose in the link's frame."""
     shapes = [part for part in link.children if part.tag in ("collision", "visual", "inertial")]
     siblings = [] if link.parent is None else link.parent.children
     joints = [node for node in siblings if node.tag == "joint" and _child_link(node) is link and node.child("pose")]

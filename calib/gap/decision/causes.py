@@ -111,10 +111,7 @@ def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[s
 def _shares(
     evidence: Evidence, every: Sequence[_Sized], variance_factor: float, coverage: float
 ) -> list[tuple[float, float]]:
-    """Return each cause's share of the gap above the noise level, and half its 95 % interval.
-
-    What they explain together is divided by squares; errors to first order, as independent.
-    """
+    """Return each cause's share of the gap above the noise level, and half its 95 % interval, to first order."""
     explained, explained_sd = evidence.explained_share
     squares, sd = np.array([sized.squares for sized in every]).reshape(-1, 2).T
     sd *= variance_factor

@@ -251,10 +251,7 @@ def _place(line: PlaceResult) -> str:
 
 
 def _channels(diagnosis: Diagnosis) -> str:
-    """Return the gap of channels above the noise level, without and with the causes.
-
-    Without any, of the channel that causes lower most, else the nearest to its noise level.
-    """
+    """Return the gap of channels above the noise level, else of the one nearest to it, without and with causes."""
     closure, named = diagnosis.closure, bool(diagnosis.causes)
 
     def moved(line: ChannelClosure) -> float:

@@ -388,10 +388,7 @@ def find_turned(nominal: Path) -> TurnedReference | None:
 
 
 def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[complex, float]:
-    """Return the factor that turns ends into those seen, and the squares left, m^2, beside a place on the vehicle.
-
-    `end`, `seen`: shape (n_runs,), m; `turned`: ``exp(i theta) - 1``.
-    """
+    """Return the factor that turns ends into those seen, and the squares left, m^2, beside a place on the vehicle."""
     # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
     columns, prior = np.stack([end, turned], axis=1), np.diag([1e-9, 1e-3])
     turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)

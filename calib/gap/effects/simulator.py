@@ -95,10 +95,7 @@ class SimulatorParameter(Effect):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Basis:
-    """Numbers by which wheels are off, in all runs (one group) or in each, as columns about a path and their inverse.
-
-    Of unit prior: what runs do not determine stays at zero.
-    """
+    """Numbers by which wheels are off, in all runs (one group) or in each, as columns about a path, and inverse."""
 
     wheels: FloatArray  #: relative change of left, right and track by each number, shape (n_obs, 3, k)
     columns: FloatArray  #: weighted readings by each number, shape (n_groups, n_readings, k)

@@ -288,7 +288,7 @@ def _most_probable(
 ) -> tuple[LocalSearch, Fitted, _WeighedModels]:
     """Move to the most probable set of effects until the current one is so about its own path, too.
 
-    Of sets that take turns, that of the fewest effects, then the most probable; none whose fit runs away.
+    Of sets that take turns, that of the fewest effects; none whose fit runs away.
     """
     visited: dict[tuple[str, ...], tuple[LocalSearch, Fitted, _WeighedModels]] = {}
     for _ in range(_MAX_SET_CHANGES):

@@ -286,10 +286,7 @@ def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:
 
 
 def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return what the laser's distance lies along.
-
-    By the end pose: start heading (1) or line to the end point (2); without one the guide line (0).
-    """
+    """Return what the laser's distance lies along: start heading (1), line to the end point (2), guide line (0)."""
     both = usable[:, :3].all(axis=1)
     ahead = both.any() and looks_ahead(*measured[both, :3].T)
     return np.where(both, 1.0 if ahead else 2.0, 0.0)

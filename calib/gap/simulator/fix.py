@@ -173,10 +173,7 @@ def _followed(
     trial: FloatArray | None = None,
     limit: float = np.inf,
 ) -> SimulatorFix:
-    """Run the simulator as `iterated` does, beside a fit's other causes, first at `trial` (n_named,) or the start.
-
-    Not where that promises to leave more than `limit`.
-    """
+    """Run the simulator as `iterated` does, beside other causes, unless that promises to leave more than `limit`."""
     names = [each.name for each in named.values()]
     typical = np.array([each.parameter.typical for each in named.values()])
     left = _without(fitted, named)

@@ -295,10 +295,7 @@ def _averaged(
     known: Mapping[tuple[str, float], FloatArray],
     scatter: FloatArray,
 ) -> Differences:
-    """Return a noisy simulator's differences: the mean of `REPEATS` runs at each set of parameters.
-
-    A step that the scatter (4,) hides is enlarged and taken to both sides. `known`: runs a step off.
-    """
+    """Return a noisy simulator's differences: means of `REPEATS` runs; a step that the scatter hides is enlarged."""
     settings, sets = runner.settings, {("", 0.0): list(at_nominal)}
     size = dict[str, float]()
     for each in settings.parameters:
