@@ -9,8 +9,9 @@ from typing import Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Unexplained, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN, Closure, Improvement
-from calib.gap.decision.trials import Trial
+from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.encoder import BLUNDER_MISFIT
+from calib.gap.effects.reference import ReferenceLatency
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 
 #: closure below which an unexplained residual hides whether anything is explained
@@ -106,6 +107,22 @@ def kind_of(
     if closure.leaves_part or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if tied else VerdictKind.EXPLAINED
+
+
+def tells_more(windows: Diagnosis, ends: Diagnosis) -> bool:
+    """Return whether windows of recordings show what ends do not, as a delay that does not add up along the way.
+
+    A certain delay that ends would not show, a certain gap where they show none, or causes of the whole gap where not.
+    """
+    if windows.kind is VerdictKind.UNDECIDED:
+        return False
+    certain = {cause.effect for cause in windows.causes if cause.probability >= CERTAIN_PROBABILITY}
+    if ReferenceLatency.id in certain.intersection(limit.effect for limit in ends.undetectable):
+        return True
+    if ends.kind is VerdictKind.NO_GAP and (windows.gap_probability or 0.0) >= 1.0 - FALSE_ALARM:
+        return True
+    whole = {VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS}
+    return windows.kind is VerdictKind.EXPLAINED and windows.recommended and ends.kind not in whole
 
 
 def with_left(diagnosis: Diagnosis) -> Diagnosis:
