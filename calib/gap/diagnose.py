@@ -19,7 +19,7 @@ from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
-from calib.gap.decision.kind import fails, open_questions, with_left
+from calib.gap.decision.kind import NOTHING_NAMED, fails, open_questions, tells_more, with_left
 from calib.gap.decision.trials import most_square, trials
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
@@ -73,50 +73,53 @@ def diagnose_in_full(
     journeys: Campaign | None = None,
     progress: Progress = silent,
 ) -> Diagnosis:
-    """Diagnose the gap of a campaign.
+    """Diagnose the gap of a campaign by the ends of its runs, and by windows of its recordings where these tell more.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    seed : int
-        For the bootstrap of intervals.
-    exclude : tuple of str
-        Effects to leave out of the library.
-    model : OdometryModel, optional
-        The simulator's model; the campaign's own by default.
-    applied : sequence of EffectSection
-        Effects that the simulator has already, from a coefficient file.
-    plan : bool
-        Recommend the runs that would separate confounded causes.
-    model_name : str
-        Name of the file that `model` is from, for the sentence.
-    observations : Observations, optional
-        In place of the campaign's own: planted effects, drawn noise. They hold `model` and `applied`.
-    candidates : sequence of Effect, optional
-        Effects to search, in place of the library's; `model_name` is then what simulated the observations.
-    journeys : Campaign, optional
-        Runs to come, of `calib.gap.plan.next_runs.read_plan`, on which confounded causes are compared.
-    progress : callable
-        See `calib.types.Progress`.
-
-    Raises
-    ------
-    RefusedError
-        Where no run has both counts and something measured.
+    Parameters and refusals: see `calib.api.results.diagnose`; of `model` the effects are `applied` ones, and
+    `model_name` is its file. `plan`: recommend runs. `observations` stand in place of the campaign's, and hold
+    `model` and `applied`; `candidates` in place of the library, and `model_name` is then what simulated.
     """
-    settings, rng, declared = SearchSettings(), np.random.default_rng(seed), campaign.extra.get("effects", ())
     sought, planted = _Sought(model, applied, exclude), observations
     campaign, unloaded = (campaign, "") if planted is not None else with_known_loads(campaign)
     situation = sought.situation(campaign) if planted is None else sought.counted(campaign, planted, ())
     if planted is None and (lone := _lone_run(situation)):
         situation = replace(sought.situation(_without(campaign, lone)), omitted=lone)
-    given = _without(campaign, situation.omitted)
+    given, found = _without(campaign, situation.omitted), situation.observations
+    own = planted is None and (bool(applied) or not np.isfinite(found.simulated).any())
+    if own:
+        _check_copied(situation.campaign, predict(found))
+    judge = partial(_judged, given, (seed, model_name, candidates, journeys), progress)
+    diagnosis = judge(sought, situation)
+    if own and not found.windowed and diagnosis.kind in NOTHING_NAMED:
+        along = replace(sought, into_windows=True)
+        windows = replace(along.situation(given), omitted=situation.omitted)
+        if windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):
+            diagnosis = by_windows
+    diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence}{unloaded}")
+    if not plan or not diagnosis.groups or (evidence := diagnosis.evidence) is None:
+        return diagnosis
+    from calib.gap.plan.next_runs import next_runs
+
+    progress(0, 0, "next runs")
+    driven = replace(evidence.situation.campaign, model=model or campaign.model)
+    known = driven, [*evidence.effects.values()], evidence.noise, open_questions(diagnosis)
+    return replace(diagnosis, next_runs=tuple(next_runs(*known, apart_on=partial(apart_on, evidence))))
+
+
+def _judged(
+    given: Campaign,
+    asked: tuple[int, str, Sequence[Effect] | None, Campaign | None],
+    progress: Progress,
+    sought: _Sought,
+    situation: Situation,
+) -> Diagnosis:
+    """Return the diagnosis of what was driven, without next runs; `given`: before corrections."""
+    seed, model_name, candidates, journeys = asked
+    settings, rng, declared = SearchSettings(), np.random.default_rng(seed), given.extra.get("effects", ())
     campaign, observations = situation.campaign, situation.observations
-    simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not applied else None
+    simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not sought.applied else None
     nominal = predict(observations)
-    if planted is None and simulator is None:
-        _check_copied(campaign, nominal)
-    effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
+    effects = library(observations, exclude=sought.exclude, declared=declared) if candidates is None else [*candidates]
     effects, noise, base, searched = _searched(nominal, effects, settings, progress)
     if refined := _refined(situation, searched.fitted):
         again = sought.corrected(given, refined, situation.as_counted)
@@ -141,15 +144,7 @@ def diagnose_in_full(
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
     )
     recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
-    diagnosis = replace(with_left(decide(evidence)), undetectable=undetectable(recalibrated, effects, searched.forms))
-    diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence}{unloaded}")
-    if not plan or not diagnosis.groups:
-        return diagnosis
-    from calib.gap.plan.next_runs import next_runs
-
-    progress(0, 0, "next runs")
-    known = replace(campaign, model=model or campaign.model), effects, noise, open_questions(diagnosis)
-    return replace(diagnosis, next_runs=tuple(next_runs(*known, apart_on=partial(apart_on, evidence))))
+    return replace(with_left(decide(evidence)), undetectable=undetectable(recalibrated, effects, searched.forms))
 
 
 def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: SearchResult) -> bool:
@@ -206,13 +201,14 @@ class _Sought:
     model: OdometryModel | None
     applied: Sequence[EffectSection]
     exclude: tuple[str, ...]
+    into_windows: bool | None = None  #: see `observations_of`
 
     def situation(self, campaign: Campaign) -> Situation:
         """Return what was driven, blunders of the reference's mounting and of the encoders corrected."""
-        observations, notes = _observed(campaign, self.model, self.applied)
+        observations, notes = self.observed(campaign, self.applied)
         nominal = predict(observations)
         # effects that the model has stand where an outside simulator's poses would
-        bare = predict(_observed(campaign, self.model, ())[0]) if self.applied else nominal
+        bare = predict(self.observed(campaign, ())[0]) if self.applied else nominal
         if turned := None if ReferenceYaw.id in self.exclude else find_turned(bare):
             return self.corrected(campaign, turned, measured_gap(nominal, nominal))
         if omitted := bad_runs(nominal):
@@ -222,7 +218,7 @@ class _Sought:
     def corrected(self, campaign: Campaign, turned: TurnedReference, as_read: FloatArray | None) -> Situation:
         """Return what was driven with the reference's mounting corrected."""
         campaign = turned.correct(campaign)
-        return self.counted(campaign, *_observed(campaign, self.model, self.applied), (turned,), as_read)
+        return self.counted(campaign, *self.observed(campaign, self.applied), (turned,), as_read)
 
     def counted(
         self,
@@ -240,6 +236,25 @@ class _Sought:
         if as_counted is None:
             as_counted = measured_gap(nominal, nominal)
         return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
+
+    def observed(self, campaign: Campaign, applied: Sequence[EffectSection]) -> tuple[Observations, tuple[str, ...]]:
+        """Return what was driven, and notes."""
+        observations = observations_of(campaign, self.model, into_windows=self.into_windows)
+        if np.isfinite(observations.simulated).any():
+            observations = as_simulated(observations)
+        if blunder := steering_blunder(observations):
+            raise BadInputError(f"{campaign.name}: column steer_rad: {blunder}, then diagnose again")
+        check_distances(campaign, observations)
+        if not observations.usable.any():
+            raise RefusedError(
+                f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
+                "ref_x_m and ref_y_m together and a log where the path bends, or give distance_m or ref_theta_rad"
+            )
+        said = (*(note.sentence for note in implausible(campaign)), *notes_for_results(campaign))
+        if not applied:
+            return observations, said
+        changed, notes = with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
+        return changed, (*said, *notes)
 
 
 def _lone_run(situation: Situation) -> dict[str, float]:
@@ -281,27 +296,6 @@ def _refined(situation: Situation, fitted: Fitted) -> TurnedReference | None:
             return next((fault.refined(float(theta[0]), sd_rad) for fault in turned), None)
         place += len(theta)
     return None
-
-
-def _observed(
-    campaign: Campaign, model: OdometryModel | None, applied: Sequence[EffectSection]
-) -> tuple[Observations, tuple[str, ...]]:
-    observations = observations_of(campaign, model)
-    if np.isfinite(observations.simulated).any():
-        observations = as_simulated(observations)
-    if blunder := steering_blunder(observations):
-        raise BadInputError(f"{campaign.name}: column steer_rad: {blunder}, then diagnose again")
-    check_distances(campaign, observations)
-    if not observations.usable.any():
-        raise RefusedError(
-            f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
-            "ref_x_m and ref_y_m together and a log where the path bends, or give distance_m or ref_theta_rad"
-        )
-    said = (*(note.sentence for note in implausible(campaign)), *notes_for_results(campaign))
-    if not applied:
-        return observations, said
-    changed, notes = with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
-    return changed, (*said, *notes)
 
 
 def _check_copied(campaign: Campaign, nominal: Path) -> None:

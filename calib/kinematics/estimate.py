@@ -55,23 +55,10 @@ def estimate_geometry(
 
     Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
 
-    Parameters
-    ----------
-    campaign
-        Runs with logs of the wheels, and end poses or poses along the path.
-    using : {"end_poses", "windows"}, optional
-        Whole runs, or windows of several lengths. None: windows where the reference follows the vehicle along the path,
-        which tell lengths ten times better and more; end poses where it does not, and where eight runs or more have one
-        and windows do not fit: end poses ask nothing of clocks.
-    kinds
-        Kinds of routes to use; none: all.
-    sensor
-        Estimate the sensor's pose on the vehicle and its delay; None: with windows, and of end poses where it takes
-        that to explain them.
-    leave_out : {"session", "kind", "run_id"}, optional
-        Hold each of these out in turn and give its end position error, before and after.
-    progress
-        See `calib.types.Progress`.
+    For parameters see `calib.api.results.geometry`. Without `using` it takes windows where the reference follows the
+    vehicle along the path, which tell lengths ten times better and more; end poses where it does not, and where eight
+    runs or more have one and windows do not fit: end poses ask nothing of clocks. `sensor`: estimate the sensor's pose
+    on the vehicle and its delay; None: with windows, and of end poses where it takes that to explain them.
     """
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)

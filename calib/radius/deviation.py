@@ -83,16 +83,7 @@ def allowed_amplitude_on_run_m(
 ) -> FloatArray:
     """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
 
-    Unlike `allowed_amplitude_m` it counts the net turn where the run is no whole number of periods.
-
-    Parameters
-    ----------
-    tolerance : array_like of float
-        Largest relative error of a radius, between 0 and 1.
-    wavelength_m, distance_m, phase_rad : array_like of float
-        Weave and length of the run, and the phase at its start.
-    track_m
-        Distance between the wheels' contact points.
+    Unlike `allowed_amplitude_m` it counts the net turn where the run is no whole number of periods; see `weave_excess`.
     """
 
     def worse(amplitude_m: FloatArray) -> FloatArray:

@@ -32,13 +32,13 @@ BEYOND = 2.0
 def squares(file: CoefficientFile | None, campaign: Campaign) -> np.ndarray:
     """Squared errors of the end position in m^2 of each run under a coefficient file; None: the campaign's model."""
     if file is None:
-        there = observations_of(campaign, whole_runs=True)
+        there = observations_of(campaign, into_windows=False)
     else:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "c.json"
             path.write_bytes(file.to_bytes())
             model, effects = model_of(path, campaign)
-            there = observations_of(with_sensor_of(path, campaign), model, whole_runs=True)
+            there = observations_of(with_sensor_of(path, campaign), model, into_windows=False)
             there, _ = with_effects(there, effects)
     nominal = predict(there)
     left = residuals(nominal, nominal)

@@ -102,17 +102,8 @@ def ingest(
 ) -> Ingested:
     """Make a campaign folder; ``ingest.json`` records the sources' hashes.
 
-    Raises BadInputError where a source cannot be used, a mapped column is missing, or the target
-    exists.
-
-    Parameters
-    ----------
-    sources
-        The run table, if any, then logs or recordings, or folders of them.
-    into, mapping
-        The campaign to make, and a TOML file as the text of `calib.campaign.ingest.mapping` shows.
-    force, dry_run, progress
-        Replace an existing campaign; write nothing; see `calib.types.Progress`.
+    Parameters and refusals: see `calib.api.results.ingest`; `mapping` is as the text of `calib.campaign.ingest.mapping`
+    shows, and `dry_run` writes nothing.
     """
     if not sources:
         raise BadInputError("sources: found none; expected the run table first, then logs; name the files")

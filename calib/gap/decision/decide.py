@@ -19,6 +19,8 @@ from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parti
 from calib.gap.decision.kind import (
     CERTAIN_PROBABILITY,
     NAMED_PROBABILITY,
+    NO_GAP_SHOWN,
+    NOTHING_NAMED,
     SMALL_SHARE,
     fails,
     hides_causes,
@@ -33,9 +35,6 @@ from calib.gap.effects.radii import NAMES
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.gap.inference.marginal_likelihood import Nuisance
 
-#: verdicts that name no cause
-NO_GAP_SHOWN: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNDECIDED})
-NOTHING_NAMED: Final = NO_GAP_SHOWN | {VerdictKind.UNKNOWN}
 #: families of unlike corrections: confounded members are no mere forms of one another
 OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 

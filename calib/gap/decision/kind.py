@@ -9,7 +9,7 @@ from typing import Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Unexplained, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN, Closure, Improvement
-from calib.gap.decision.trials import Trial
+from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 
@@ -30,6 +30,9 @@ NAMED_PROBABILITY: Final = 0.1
 CERTAIN_PROBABILITY: Final = 0.9
 #: signal of a fix's cause over a larger unexplained residual's: half of a weaker one may be it
 SIGNAL_OVER_UNEXPLAINED: Final = 2.0
+#: verdicts that name no cause
+NO_GAP_SHOWN: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNDECIDED})
+NOTHING_NAMED: Final = NO_GAP_SHOWN | {VerdictKind.UNKNOWN}
 #: beginning of an unexplained residual's place on the floor
 ON_FLOOR: Final = "on the floor"
 
@@ -106,6 +109,17 @@ def kind_of(
     if closure.leaves_part or incomplete or (unexplained_share or 0.0) > SMALL_SHARE:
         return VerdictKind.PARTLY_EXPLAINED
     return VerdictKind.AMBIGUOUS if tied else VerdictKind.EXPLAINED
+
+
+def tells_more(windows: Diagnosis, ends: Diagnosis) -> bool:
+    """Return whether windows of recordings show what ends do not, as a delay that does not add up along the way.
+
+    A gap beyond chance that is mostly no noise where ends show none, or causes of all of one that none explains there.
+    """
+    if ends.kind not in NO_GAP_SHOWN:
+        return windows.kind is VerdictKind.EXPLAINED and windows.recommended
+    large = any(line.before_rms > LARGE_RESIDUAL * line.floor_rms for line in windows.closure.channels)
+    return large and windows.kind not in NO_GAP_SHOWN and (windows.gap_probability or 0.0) >= 1.0 - FALSE_ALARM
 
 
 def with_left(diagnosis: Diagnosis) -> Diagnosis:

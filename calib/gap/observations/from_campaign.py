@@ -47,9 +47,13 @@ class Recorded:
     reference: ReferencePoses | None
 
 
-def window_length_m(travelled_m: float, track_m: float) -> float:
-    """Return the length of windows: short enough for many, long enough that wheels matter."""
-    return float(np.clip(travelled_m / WINDOWS_WANTED, min(MIN_WINDOW_TRACKS * track_m, WINDOW_M), WINDOW_M))
+def window_length_m(travelled_m: float, n_recordings: int, track_m: float) -> float:
+    """Return the length of windows: short enough for many, long enough that wheels matter.
+
+    A usual recording has three, of which one begins and ends on the move.
+    """
+    length_m = travelled_m / max(WINDOWS_WANTED, 3 * n_recordings)
+    return float(np.clip(length_m, min(MIN_WINDOW_TRACKS * track_m, WINDOW_M), WINDOW_M))
 
 
 def edges_along(way_m: FloatArray, count: float) -> IntArray:
@@ -116,12 +120,12 @@ MIN_REPLICATED = 8
 
 
 def observations_of(
-    campaign: Campaign, model: OdometryModel | None = None, *, whole_runs: bool = False
+    campaign: Campaign, model: OdometryModel | None = None, *, into_windows: bool | None = None
 ) -> Observations:
     """Arrange a campaign for the diagnosis; `model`: the simulator's, by default the campaign's own.
 
-    Without excluded rows. Recordings with poses are cut into windows where runs are fewer than a dozen, or hardly any
-    was driven twice, unless `whole_runs`. A run without a log counts by its row. Refused where no run has both counts
+    Recordings with poses are cut into windows where runs are fewer than a dozen, or hardly any
+    was driven twice, or by `into_windows`. A run without a log counts by its row. Refused where no run has both counts
     and something measured.
     """
     setup = _setup(campaign, model)
@@ -130,8 +134,8 @@ def observations_of(
     room = np.empty((len(observation.ALONG_RUN), n_runs, samples))
     recorded = [_recorded(run, setup, room[:, run]) for run in range(n_runs)]
     with_counts = [run for run in recorded if run is not None]
-    if whole_runs:
-        return _arranged(with_counts, setup, into_windows=False)
+    if into_windows is not None:
+        return _arranged(with_counts, setup, into_windows=into_windows)
     few = len(recorded) < MIN_WHOLE_RUNS
     observations = _arranged(with_counts, setup, into_windows=few)
     sizes = np.bincount(observations.condition)
@@ -217,7 +221,8 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
 
 def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> Observations:
     campaign, references = setup.campaign, [run.reference for run in recorded if run.reference is not None]
-    length_m = window_length_m(sum(float(each.travelled_m[-1]) for each in references), setup.model.track_m)
+    travelled_m = sum(float(each.travelled_m[-1]) for each in references)
+    length_m = window_length_m(travelled_m, len(references), setup.model.track_m)
     units: list[Observation] = []
     n_cut = 0
     for run in recorded:

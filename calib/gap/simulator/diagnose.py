@@ -58,23 +58,8 @@ def diagnose_simulator(
     It runs at its nominal parameters (twice unless it repeats itself), with each a step off, and with the fix; the
     verdict is among parameters and library.
 
-    Parameters
-    ----------
-    campaign : Campaign
-    settings : SimulatorSettings
-    seed : int
-        For the bootstrap of intervals.
-    exclude : tuple of str
-        To leave out, of the library or ``simulator:NAME``.
-    workers : int
-        Runs of the simulator at once.
-    progress : callable
-        See `calib.types.Progress`.
-
-    Raises
-    ------
-    CalibError
-        Where the simulator fails, hangs, writes nonsense, or predicts nothing measured.
+    For parameters see `calib.api.results.diagnose`; `exclude` takes ``simulator:NAME`` too. Raises CalibError where the
+    simulator fails, hangs, writes nonsense, or predicts nothing measured.
     """
     if campaign.root is None or not (campaign.root / "campaign.toml").is_file():
         raise BadInputError(
@@ -83,7 +68,7 @@ def diagnose_simulator(
         )
     root = FilePath(campaign.root)
     campaign = on_its_source_alone(campaign)
-    measured = observations_of(campaign, whole_runs=True)
+    measured = observations_of(campaign, into_windows=False)
     _check_excluded(exclude, measured, settings, campaign)
     run_ids = [str(run) for run in dict.fromkeys(measured.labels["run_id"])]
     cache = run_cache(settings, campaign.hashes)

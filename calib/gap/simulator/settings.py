@@ -200,14 +200,8 @@ _BLUNDERS: Final = {
 def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
     """Return in words what a simulator writes wrongly; empty where its ends are about the counts'.
 
-    Parameters
-    ----------
-    table : array, shape (n_runs, 4)
-        Ends (distance, x, y, heading) at the nominal parameters.
-    own : array, shape (n_runs, 4)
-        By the campaign's model and the counts.
-    most : float
-        Share of way and turn by which these may differ on average: vehicles differ by less, blunders by more.
+    `table`, `own`: ends (n_runs, 4) at nominal parameters, and by the campaign's model and counts; `most`: share
+    of way and turn by which these may differ on average: vehicles differ by less.
     """
     length = np.maximum(np.hypot(own[:, 1], own[:, 2]), np.maximum(np.nan_to_num(own[:, 0]), 0.5))
 

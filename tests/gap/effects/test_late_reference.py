@@ -62,3 +62,20 @@ def test_windows_follow_one_another_within_a_recording() -> None:
     observations = observations_of(recorded(Truth(0.05, 0.05, 0.4, sensor=(*PLACE_M, 0.0), delay_s=0.0)))
     assert observations.windowed
     np.testing.assert_array_equal(observations.follows, observations.window > 0)
+
+
+@pytest.mark.parametrize(("repeats", "delay_s"), [(6, 0.12), (24, 0.12), (6, 0.0)])
+def test_a_delay_shows_along_many_runs_that_end_at_rest(repeats: int, delay_s: float) -> None:
+    """Ends at standstill hold no delay, however often a route is driven: the paths of the recordings do."""
+    truth = Truth(0.05, 0.05, 0.4, delay_s=delay_s)
+    legs: list[Leg] = [(0.0, 0.0), (0.5, 0.0), (0.8, 1.5), (0.5, 0.0), (0.0, 0.0)]
+    routes = [("left", legs), ("right", [(way, -turn) for way, turn in legs])] * repeats
+    made = campaign(routes, truth, np.random.default_rng(5), along=True, walk=1e-3, duration_s=8.0, samples=100)
+    assert not observations_of(made).windowed
+    found = diagnose_in_full(made, plan=False)
+    if not delay_s:
+        assert not found.causes and found.to_dict()["verdict"] == "no_gap"
+        return
+    assert [cause.effect for cause in found.causes] == ["reference_latency"]
+    low, high = found.causes[0].parameters["latency"].ci95
+    assert 0.5 * (low + high) == pytest.approx(delay_s, rel=0.02) and found.recommended
