@@ -47,13 +47,9 @@ class Recorded:
     reference: ReferencePoses | None
 
 
-def window_length_m(travelled_m: float, n_recordings: int, track_m: float) -> float:
-    """Return the length of windows: short enough for many, long enough that wheels matter.
-
-    A usual recording has three, of which one begins and ends on the move.
-    """
-    length_m = travelled_m / max(WINDOWS_WANTED, 3 * n_recordings)
-    return float(np.clip(length_m, min(MIN_WINDOW_TRACKS * track_m, WINDOW_M), WINDOW_M))
+def window_length_m(travelled_m: float, track_m: float) -> float:
+    """Return the length of windows: short enough for many, long enough that wheels matter."""
+    return float(np.clip(travelled_m / WINDOWS_WANTED, min(MIN_WINDOW_TRACKS * track_m, WINDOW_M), WINDOW_M))
 
 
 def edges_along(way_m: FloatArray, count: float) -> IntArray:
@@ -135,7 +131,7 @@ def observations_of(
     recorded = [_recorded(run, setup, room[:, run]) for run in range(n_runs)]
     with_counts = [run for run in recorded if run is not None]
     if into_windows is not None:
-        return _arranged(with_counts, setup, into_windows=into_windows)
+        return _arranged(with_counts, setup, into_windows=into_windows, share=3 * n_runs / WINDOWS_WANTED)
     few = len(recorded) < MIN_WHOLE_RUNS
     observations = _arranged(with_counts, setup, into_windows=few)
     sizes = np.bincount(observations.condition)
@@ -219,10 +215,11 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
         yield (times[inside] - begin, reference.poses[inside]) if inside.sum() > 1 else None
 
 
-def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool) -> Observations:
+def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool, share: float = 1.0) -> Observations:
     campaign, references = setup.campaign, [run.reference for run in recorded if run.reference is not None]
     travelled_m = sum(float(each.travelled_m[-1]) for each in references)
-    length_m = window_length_m(travelled_m, len(references), setup.model.track_m)
+    # of three in a usual recording asked for by windows, one begins and ends on the move
+    length_m = window_length_m(travelled_m / max(share, 1.0), setup.model.track_m)
     units: list[Observation] = []
     n_cut = 0
     for run in recorded:

@@ -46,7 +46,7 @@ def next_runs(
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
     The runs are driven in one session, those at another temperature in one of their own, and those of a route that was
-    not repeated so far `REPEATS` times; an unladen corridor run is added where the others tell less without it. Each
+    not repeated so far `REPEATS` times; with an unladen corridor run where they tell less without it. Each
     step takes the run after which the two nearest confounded effects are furthest apart, as the diagnosis groups them,
     else most effects of the library are; runs without which as many are told apart are omitted. What the law of the
     load lacks is added, and loads driven one way alone.
@@ -57,8 +57,7 @@ def next_runs(
     """
     driven = campaign.included()
     measured = _measured(driven)
-    candidates = _candidates(driven, measured, ties) if candidates is None else candidates
-    if not candidates:
+    if not (candidates := _candidates(driven, measured, ties) if candidates is None else candidates):
         return []
     # the unladen run comes first; where nothing shows the noise so far, one repeat more does
     more, unladen = int(noise.dof <= 0.0), _corridor_run(driven)
@@ -103,8 +102,9 @@ def next_runs(
         why = "; ".join(filter(None, (first.get(n, ""), task.why(before, after, steps[-1])))) or _BESIDE
         proposed.append(replace(runs[n], why=why, distance=float(after.min()) if task.tied else None))
     proposed += [replace(runs[n], why=_OF_LAW) for n in later]
-    proposed.sort(key=lambda run: run.why == _BESIDE)
-    return [_stated(run, _corridor_m(driven), by_laser=measured.distance) for run in proposed]
+    # what tells nothing by itself comes last
+    runs = sorted(proposed, key=lambda run: run.why == _BESIDE)
+    return [_stated(run, _corridor_m(driven), by_laser=measured.distance) for run in runs]
 
 
 def _stated(run: PlannedRun, corridor_m: float, *, by_laser: bool) -> PlannedRun:

@@ -139,7 +139,7 @@ def test_another_curvature_separates_track_and_scrub() -> None:
     tie, apart = [("track_width", "curve_scrub")], named(campaign, {}, {"track_width": 0.01})
     runs = next_runs(campaign, library(s), noise, tie, apart_on=apart)
     assert runs
-    assert runs[-1].kind not in {"corridor", "corridor_short", "corridor_b"}
+    assert runs[0].kind not in {"corridor", "corridor_short", "corridor_b"}
     straight = [PlannedRun("corridor", direction, speed_mps=v) for direction in ("out", "back") for v in (0.3, 0.7)]
     assert next_runs(campaign, library(s), noise, tie, apart_on=apart, candidates=straight) == []
 
@@ -299,8 +299,8 @@ def test_a_law_of_one_day_gets_a_second_load_on_another_day() -> None:
     crossed = calib.read(ROOT / "sample_runs" / "corridor_crossed").included()
     day = crossed.select(crossed.runs.label("session") == "s1")
     runs = calib.plan(day, most=1).runs
-    assert [(run.kind, run.payload_kg) for run in runs] == [("corridor", 0.0), ("corridor", 200.0)]
-    assert "another day" in runs[1].why
+    assert {(run.kind, run.payload_kg) for run in runs} == {("corridor", 0.0), ("corridor", 200.0)}
+    assert any("another day" in run.why for run in runs if run.payload_kg)
     assert len(sessions_of_loads(with_next(day, runs))) == 2
     assert not any("another day" in each.why for each in calib.plan(crossed, most=2).runs)
     # what tells confounded effects apart comes before it
@@ -308,8 +308,9 @@ def test_a_law_of_one_day_gets_a_second_load_on_another_day() -> None:
     lanes = [PlannedRun("corridor_short"), PlannedRun("corridor", payload_kg=200.0, payload_x_m=0.3)]
     ties = [("rangefinder_scale", "rangefinder_offset")]
     apart = named(day, {"rangefinder_scale": 3.0})
-    _, told, law = next_runs(day, library(s), noise, ties, apart_on=apart, candidates=lanes)
-    assert "tells rangefinder_scale" in told.why and "another day" in law.why
+    whys = [run.why for run in next_runs(day, library(s), noise, ties, apart_on=apart, candidates=lanes)]
+    told, law = (next(n for n, why in enumerate(whys) if said in why) for said in ("tells range", "another day"))
+    assert told < law
 
 
 def test_another_hall_temperature_is_a_session_of_its_own() -> None:
@@ -322,8 +323,8 @@ def test_another_hall_temperature_is_a_session_of_its_own() -> None:
     s, noise = noise_of(driven)
     warm = [run for run in offered if run.temperature_C > usual_C]
     ties, apart = [("temperature_radius", "wear")], named(driven, {"temperature_radius": 3.0})
-    *_, run = next_runs(driven, library(s), noise, ties, apart_on=apart, candidates=warm)
-    assert "a session of its own" in run.why
+    runs = next_runs(driven, library(s), noise, ties, apart_on=apart, candidates=warm)
+    assert any("a session of its own" in run.why for run in runs)
 
 
 def test_where_the_repeat_alone_tells_it_is_what_is_proposed() -> None:
