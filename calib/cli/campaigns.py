@@ -13,7 +13,7 @@ from calib.errors import BadInputError, refuse_more, refuse_workers
 _LISTED_RUNS = 8
 
 
-def init(folder: Annotated[Path, arg(None, "Campaign folder to make.")]) -> None:
+def init(folder: Annotated[Path, arg("FOLDER", "Campaign folder to make.")]) -> None:
     """Make an empty campaign to fill in by hand: campaign.toml with remarks, runs.csv with its header, logs.
 
     What a laboratory has already, in spreadsheets, loggers or recordings, goes in with 'calib ingest' instead.
@@ -31,7 +31,7 @@ def init(folder: Annotated[Path, arg(None, "Campaign folder to make.")]) -> None
 
 def ingest(
     sources: Annotated[
-        list[Path], arg(None, "Run table first, where there is one; then logs, recordings or folders of them.")
+        list[Path], arg("SOURCE", "Run table first, where there is one; then logs, recordings or folders of them.")
     ],
     into: Annotated[Place, opt("CAMPAIGN", "Campaign folder to make.")] = None,
     mapping: Annotated[Place, opt("FILE", "TOML that names the columns.")] = None,
@@ -40,11 +40,10 @@ def ingest(
 ) -> None:
     """Make a campaign out of raw lab files; the sources are hashed and left untouched.
 
-    First 'calib ingest --describe FILE... > lab.toml': it lists the contents (sheets, header rows, topics, channels,
-    units, time formats, overflowing counters) and proposes a mapping. Edit it, try it with --dry-run, and ingest. The
-    mapping's sections [table] and [log] say which source column is which calib column, as a name (run_id = "Run no.")
-    or with unit, factor and texts (distance_m = {column = "Distance", unit = "mm"}); log.file = "Run_{n:02}.csv" names
-    a run's log; [cut] says how a continuous recording is cut into runs. All else goes into campaign.toml.
+    First 'calib ingest --describe FILE... > lab.toml': it lists the contents and proposes a mapping. Edit it, try it
+    with --dry-run, and ingest. Its sections [table] and [log] say which source column is which (run_id = "Run no.";
+    distance_m = {column = "Distance", unit = "mm"}); log.file = "Run_{n:02}.csv" names a run's log; [cut] cuts a
+    recording into runs. All else goes into campaign.toml.
 
     Example: calib ingest export.xlsx logger/ --mapping lab.toml --into hall3
     """
@@ -97,7 +96,7 @@ def _describe(sources: list[Path]) -> None:
 
 
 def check(
-    campaign: Annotated[Path, arg(None, "Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
+    campaign: Annotated[Path, arg("CAMPAIGN", "Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
     strict: Annotated[bool, opt(None, "Exit status 1 on suspicious things, too.", "--strict")] = False,
     mapping: terminal.MappingOption = None,
 ) -> int:
@@ -133,7 +132,7 @@ def check(
 
 
 def run(
-    folder: Annotated[Path, arg(None, "One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
+    folder: Annotated[Path, arg("FOLDER", "One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
     into: Annotated[Path, opt("FOLDER", "Result folder; a later run goes on there.")],
     what: Annotated[str, opt(None, "fit, check, geometry or diagnose.")] = "fit",
     workers: terminal.Workers = 1,

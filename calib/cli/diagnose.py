@@ -218,7 +218,7 @@ def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, 
 
 
 def plan(
-    campaign: Annotated[Place, arg("[CAMPAIGN]", "Campaign that was driven.")] = None,
+    campaign: Annotated[Place, arg("CAMPAIGN", "Campaign that was driven.")] = None,
     source: Annotated[Place, opt("PLAN.toml", "A plan of runs, judged before anything is driven.", "--from")] = None,
     candidates: Annotated[Place, opt("FILE.toml", "Runs to choose from, as [[runs]]; else the usual ones.")] = None,
     most: Annotated[int, opt(None, "How many runs to name.", min=1, max=50)] = 5,

@@ -161,7 +161,7 @@ WAVELENGTHS_M: Final = (40.0, 5.0)
 
 def deviation(
     campaign: Annotated[
-        Place, arg("[CAMPAIGN]", "Campaign whose runs are judged; without it only the table is made.")
+        Place, arg("CAMPAIGN", "Campaign whose runs are judged; without it only the table is made.")
     ] = None,
     tolerance: Annotated[float, opt("SHARE", "Largest relative error of a radius.")] = 0.0005,
     amplitude: Annotated[Numbers, opt("M", "Amplitude of the weave in the table; may be given again.")] = None,

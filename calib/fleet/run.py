@@ -286,7 +286,7 @@ def _check(member: Member) -> dict[str, object]:
 
     report = check_campaign(_campaign(member, lenient=True))
     codes = {level: [note.code for note in getattr(report, level)] for level in ("wrong", "suspicious")}
-    return {"sound": report.sound, **codes}
+    return {"verdict": report.verdict, "sound": report.sound, **codes}
 
 
 def _diagnose(member: Member) -> dict[str, object]:
@@ -305,6 +305,7 @@ def _geometry(member: Member) -> dict[str, object]:
 
     geometry = estimate_geometry(_campaign(member))
     return {
+        "verdict": geometry.verdict.value,
         "passed": geometry.passed,
         "using": geometry.using,
         "estimates": {estimate.name: plain_fields(estimate) for estimate in geometry.estimates},

@@ -139,7 +139,6 @@ def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
         "head": (
             ("Verdict", str(diagnosis.kind).replace("_", " ")),
             ("In words", page_one_notice(diagnosis).text),
-            ("Judged against", diagnosis.judged_against),
         ),
         "footer": f"Campaign {diagnosis.campaign}",
     }

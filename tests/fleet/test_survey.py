@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 from pathlib import Path
 
@@ -14,11 +15,13 @@ from calib.campaign.read import read_campaign
 from calib.errors import BadInputError, CalibError
 from calib.fleet import run as survey_module
 from calib.fleet.comparison import VehicleResult, shared_causes
-from calib.fleet.run import survey_fleet
+from calib.fleet.run import Survey, survey_fleet
 from calib.fleet.store import Member
 from calib.kinematics.estimate import estimate_geometry
 from calib.plant.fleet import make_posed_fleet
+from calib.reporting.formatting import to_text
 from calib.reporting.pages import write_fleet
+from calib.reporting.topics.fleet import fleet_content
 
 ROOT = Path(__file__).resolve().parents[2]
 N_VEHICLES = 12
@@ -137,3 +140,13 @@ def test_a_zone_that_a_hall_shares_is_said_with_its_place() -> None:
 def test_an_unknown_task_is_refused(fleet: Path, tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match="diagnose"):
         survey_fleet(fleet, tmp_path / "out", "paint")
+
+
+def test_what_each_vehicle_ended_with_is_shown() -> None:
+    """`done` is no all-clear: a verdict with its causes, or a check with its findings, stands beside the vehicles."""
+    found = {"verdict": "partly_explained", "causes": [{"effect": "floor_slope", "probability": 0.9}]}
+    records = [VehicleResult(name, "", found) for name in ("v1", "v3")]
+    records += [VehicleResult("v2", "", {"verdict": "wrong", "wrong": ["no_log"], "suspicious": []})]
+    shown = to_text(fleet_content(Survey("diagnose", tuple(records), (), 3, 0)))
+    assert re.search("partly_explained +floor_slope +2 +v1, v3", shown)
+    assert re.search("wrong +no_log +1 +v2", shown)

@@ -324,8 +324,7 @@ def outlook_content(name: str, n_runs: int, outlook: Outlook) -> tuple[Block, ..
     known = {"told": len(told_apart), "effects": len(outlook.effects) + len(outlook.absent)}
     heads = ("<Effect", "Signal", "*Smallest size seen", "*Told apart, or confused with")
     told = table(caption("table-outlook", name=name, runs=n_runs, **known), heads, rows)
-    # one reason for all
-    why = [prose(outlook.smallest[effect].sentence) for effect in outlook.absent[:1]]
+    why = (prose(outlook.smallest[effect].sentence) for effect in outlook.absent[:1])
     return (told, *items(f"{', '.join(outlook.absent)}: {text}" for text in why))
 
 

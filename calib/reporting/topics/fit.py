@@ -261,9 +261,6 @@ def quality_text(wheel: WheelFit) -> str:
     if wheel.model == "line":
         # more digits where the line explains nearly all
         text += f", R² = {wheel.r_squared:.5f}" if wheel.r_squared > 0.99 else f", R² = {wheel.r_squared:.3f}"
-    if wheel.session_std_m > 0:
-        of_runs, of_sessions = two_digits(UM * wheel.run_std_m), two_digits(UM * wheel.session_std_m)
-        text += f", scatter of runs {of_runs} µm and of sessions {of_sessions} µm"
     return text + "."
 
 
@@ -281,16 +278,13 @@ def _law_in_words(wheel: WheelFit) -> str:
     return f"{wheel.wheel} wheel: the radius {change} by {abs(1e6 * law.slope_m_per_N):.3g} µm for each newton"
 
 
-_NAMES: Final = {"other run to run": "other, run to run"}
-
-
 def radius_budget(fit: Fit) -> Table:
     """Return the budget of a single effective radius."""
     rows: list[tuple[str, ...]] = []
     for part in fit.radii.budget:
         name, dof = part.name.replace("_", " "), "∞" if part.dof is None else fixed(part.dof, 1)
         sizes = (two_digits(1e6 * std_m) for std_m in (part.std_left_m, part.std_right_m))
-        rows.append((_NAMES.get(name, name), prose(part.what), part.kind, part.distribution, dof, *sizes))
+        rows.append((name, prose(part.what), part.kind, part.distribution, dof, *sizes))
     total = np.linalg.norm([(part.std_left_m, part.std_right_m) for part in fit.radii.budget], axis=0)
     combined = (two_digits(1e6 * float(std_m)) for std_m in total)
     rows.append(("combined", "one run in a session of its own", "", "", "", *combined))

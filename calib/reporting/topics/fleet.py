@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
+from calib.campaign.checks.design import listed
 from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
 from calib.fleet.comparison import Population, shown_quantity
 from calib.fleet.run import Fleet, Survey
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, table
 from calib.reporting.formatting import MISSING
+from calib.types import grouped
 
 if TYPE_CHECKING:
     from calib.challenge.own_runs import Own
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
 
 #: rows of a list at most; the tables have them all
 MAX_ROWS = 40
+_COMMON: Final = "Common to many vehicles"
 
 
 def fleet_content(fleet: Fleet | Survey, *, page: bool = False) -> tuple[Block, ...]:
@@ -42,7 +45,7 @@ def _of_fit(fleet: Fleet, *, page: bool) -> tuple[Block, ...]:
         *(_pictures(fleet) if page else ()),
         *_counted("Outlying vehicles", [f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers]),
         *([_drifting(fleet)] if view.drifting else ()),
-        *_common([cause.sentence for cause in view.common]),
+        *_counted(_COMMON, [cause.sentence for cause in view.common]),
         *_counted("Doubtful laws, by checks that 'calib fit' of the vehicle explains", doubtful),
         *_counted("Failed", [f"{one.vehicle}: {one.why}" for one in fleet.records if one.status == "failed"]),
         blocks.Text(blocks.paragraph("fleet_rates"), small=True),
@@ -51,10 +54,6 @@ def _of_fit(fleet: Fleet, *, page: bool) -> tuple[Block, ...]:
 
 def _counted(title: str, lines: Sequence[str]) -> list[Block]:
     return [Heading(f"{title} ({len(lines)})"), Items(tuple(lines[:MAX_ROWS]))] if lines else []
-
-
-def _common(sentences: Sequence[str]) -> list[Block]:
-    return [Heading("Common to many vehicles"), Items(tuple(sentences[:MAX_ROWS]))] if sentences else []
 
 
 def _populations(populations: Mapping[str, Population]) -> list[Table]:
@@ -92,13 +91,29 @@ def _of_survey(survey: Survey, *, page: bool) -> tuple[Block, ...]:
     if not page:
         facts.append(("now", f"{survey.n_done} done now, {survey.n_kept} kept from before"))
     blocks: list[Block] = [Heading(f"Fleet: {survey.what}"), Facts(tuple(facts))]
+    blocks += [_verdicts(survey)] if done else []
     quantities = survey.quantities
     shared = [cause.sentence for cause in survey.shared]
     if quantities is not None:
         blocks += _populations(quantities.populations)
         blocks += _counted("Outlying vehicles", [f"{one.vehicle}, {one.why}" for one in quantities.outliers])
         shared += [difference.sentence for difference in quantities.common]
-    return (*blocks, *_common(shared), *_counted("Failed", [f"{record.name}: {record.why}" for record in failed]))
+    return (
+        *blocks,
+        *_counted(_COMMON, shared),
+        *_counted("Failed", [f"{record.name}: {record.why}" for record in failed]),
+    )
+
+
+def _verdicts(survey: Survey) -> Table:
+    found = []
+    for name, values in ((one.name, one.values) for one in survey.records if one.status != "failed"):
+        what = [cause["effect"] for cause in values.get("causes", ())]
+        what += [*values.get("wrong", ()), *values.get("suspicious", ())]
+        found.append(((values.get("verdict", MISSING), ", ".join(what) or MISSING), name))
+    alike = sorted(grouped(found).items(), key=lambda one: -len(one[1]))[:MAX_ROWS]
+    rows = [(*words, str(len(names)), listed(names)) for words, names in alike]
+    return table("Verdicts", ("<Verdict", "*Found", "Vehicles", "*Which"), rows)
 
 
 _MET: Final = {True: "met", False: "MISSED", None: ""}

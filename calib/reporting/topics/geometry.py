@@ -66,9 +66,8 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
             before, after, held_out, noise = (f"{1e3 * one:{'.3g' if one < 1.0 else '.0f'}} m{unit}" for one in sizes)
             tried = f"{held_out} on held-out runs" if not math.isnan(of.held_out) else "too few runs to hold one out"
             parts.append(f"{what} {before} before, {after} after, {tried}; noise {noise}")
-    idle = ["On held-out runs it is no better than the nominal values: nothing is gained by it"]
-    why = (*(idle if _idle(geometry) else ()), *geometry.why)
-    return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in why)]
+    idle = ["On held-out runs it is no better than the nominal values: nothing is gained by it"] * _idle(geometry)
+    return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in (*idle, *geometry.why))]
 
 
 def _idle(geometry: Geometry) -> bool:
