@@ -87,8 +87,7 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
     `blocks`: into about how many all runs together are cut; a run is one at least. Raises RefusedError where the
     reference follows the vehicle nowhere.
 
-    Wheel travel, not time, sets the length: a standing vehicle makes no windows. Shorter windows overlap by half; none
-    reaches over the end of its block. Of positions alone every window begins where its run does, with heading zero; in
+    Wheel travel sets the length. Shorter windows overlap by half; none reaches over the end of its block. Of positions alone every window begins where its run does, with heading zero; in
     a map its direction is that of the chord about its start, and none begins where that is short, in turns on the spot.
     """
     travel = recording.travel_rad

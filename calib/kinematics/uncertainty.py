@@ -79,9 +79,8 @@ def level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[
     `powers`, `squares` (shape (n_cosines,)): squared amplitudes and frequencies; `dof`: degrees of freedom of the
     amplitudes together; fewer than there are of them where blocks are unequal.
 
-    For each steepness the level has a scaled inverse chi squared distribution; steepnesses are weighted by the
-    likelihood with the level integrated out. The mixture is met by the one such distribution whose logarithm has the
-    same mean and variance, so that a t distribution gives the intervals.
+    For each steepness the level has a scaled inverse chi squared distribution, weighted by the likelihood. The mixture
+    is met by the one such distribution whose logarithm has the same mean and variance.
     """
     from scipy.special import digamma, polygamma
 
