@@ -87,8 +87,9 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
     `blocks`: into about how many all runs together are cut; a run is one at least. Raises RefusedError where the
     reference follows the vehicle nowhere.
 
-    Wheel travel sets the length. Shorter windows overlap by half; none reaches over the end of its block. Of positions alone every window begins where its run does, with heading zero; in
-    a map its direction is that of the chord about its start, and none begins where that is short, in turns on the spot.
+    Wheel travel sets the length. Shorter windows overlap by half; none reaches over the end of its block. Of positions
+    alone every window begins where its run does, with heading zero; in a map its direction is that of the chord about
+    its start, and none begins where that is short, in turns on the spot.
     """
     travel = recording.travel_rad
     ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])

@@ -275,9 +275,9 @@ def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by
     """Return how far each observation is off, as a share of its length and of its turns, 1 at most, shape (n_obs,).
 
     The length is the way driven, or from start to end where that is more; turns of less than a radian count as one. A
-    straight run is judged by its length and by how far its wheels differ. With simulated motion of its own, the change from the `nominal` path counts. `by_kind`:
-    way and turns of the middle run of its kind; `by_extent`: of a run that ends away from its start, that distance, and
-    a radian.
+    straight run is judged by its length and by how far its wheels differ. With simulated motion of its own, the change
+    from the `nominal` path counts. `by_kind`: way and turns of the middle run of its kind; `by_extent`: of a run that
+    ends away from its start, that distance, and a radian.
     """
     observations = path.s
     about = path if nominal is None or not np.isfinite(observations.simulated).any() else nominal
