@@ -260,8 +260,7 @@ class _Sought:
 def _lone_run(situation: Situation) -> dict[str, float]:
     """Return the one run, by id, its share off, beside which a recalibration leaves all others within the stated noise.
 
-    With it no recalibration does. Only where nothing was driven twice: repeats tell noise and runs far off by
-    themselves. Another run of its kind stays.
+    Only where nothing was driven twice: repeats tell noise by themselves. Another run of its kind stays.
     """
     nominal = predict(situation.observations)
     noise, observations = estimate_noise(nominal, residuals(nominal, nominal)), situation.observations

@@ -4,10 +4,8 @@ A parameter held at nominal would make the others exact that depend on it. So wh
 values take part as measurements, each with what it may be off by, and all intervals are of the joint result.
 
 Some parameters differ between recordings: the reference's delay, and the zero of the steering angle, since a servo, or
-a linkage with play, rests at another angle each time. One zero for all bends what the other parameters say; a free zero
-for each says nothing of a further recording. So the deviations are random effects: generalised least squares estimates
-the common zero and the other parameters, each deviation is the mean of its distribution given the data, and the spread
-is part of the uncertainty.
+a linkage with play, rests at another angle each time. Their deviations are random effects: generalised least squares
+estimates the common zero and the other parameters, and the spread is part of the uncertainty.
 """
 
 from __future__ import annotations
@@ -358,8 +356,7 @@ def with_own_zeros(fitted: Fitted) -> Fitted:
 def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, deviation: FloatArray) -> Shared:
     """Return the random effect of the recordings' zeros.
 
-    `solution`: at the deviations; `fitted`: with one zero; `group`: recording of each run; `spread`: standard deviation
-    of `deviation`, each recording's zero from the common one, rad.
+    `solution`: at the deviations; `fitted`: with one zero; `spread`: sd of each recording's `deviation` from that, rad.
     """
     zero, scale = map(fitted.parameters.names.index, (STEERING_ZERO, STEERING_SCALE))
     # a deviation is added to the angle before its scale

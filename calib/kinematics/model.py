@@ -205,8 +205,8 @@ def _at_times(
 ) -> tuple[FloatArray, FloatArray, list[IntArray]]:
     """Return poses `delay_s` before both ends and chords, their derivatives, and the samples' new numbers.
 
-    The reference's stamps lag: what it stamps t was true at t - delay. Only the samples in use are interpolated. Before
-    a run's first count the vehicle moved as after it where a late reference saw it move; else it stood there.
+    What the reference stamps t was true at t - delay. Before a run's first count the vehicle moved as after it where a
+    late reference saw it move; else it stood there.
     """
     ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
     used, inverse = np.unique(ends, return_inverse=True)

@@ -317,8 +317,8 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
     """Return a straight run's end pose of its measured length: x, else NaN.
 
-    `row`: number of the run, which may have a ``distance_m``; `source`: only two wheels on one axle tell by themselves
-    whether a run was straight; `turned_rad` (shape (2,)): turn of each wheel in all.
+    `row`: number of the run; `source`: only two wheels on one axle tell by themselves whether it was straight;
+    `turned_rad` (shape (2,)): turn of each wheel in all.
     """
     model, end = campaign.model, np.full(3, np.nan)
     if source != "rear":

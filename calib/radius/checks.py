@@ -96,8 +96,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
     """Return what load would explain the load and session, or single run, furthest off the line.
 
-    Held against all others; empty where others leave the line too, nobody has that load, or not
-    `several`.
+    Empty where others leave the line too, nobody has that load, or not `several`.
     """
     fit, n = runs.fit, len(runs.x)
     if fit.model != "line" or fit.design == "confounded":

@@ -7,8 +7,7 @@ or not sessions scatter; see `calib.radius.law`.
 Runs that follow each other and scatter alike tell less than independent ones. The residuals of a session are taken as a
 first-order autoregression, ``corr(e_i, e_j) = rho^|i - j|``. ``rho`` is estimated from their lag-one autocorrelation,
 freed of the bias that the fitted mean and line give it; where it is significant, the covariance of the runs' stratum is
-that of the same least-squares estimates under it, with Satterthwaite's degrees of freedom. All products with the
-correlation matrix are two recursions, linear in runs.
+that of the same least-squares estimates under it, with Satterthwaite's degrees of freedom.
 """
 
 from __future__ import annotations

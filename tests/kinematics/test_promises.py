@@ -85,7 +85,7 @@ def test_runs_driven_promise_what_geometry_says_of_them() -> None:
 def test_further_runs_promise_narrower_intervals_of_a_driven_campaign() -> None:
     driven = read_campaign("sample_runs/corridor")
     more = with_next(driven, [PlannedRun("square_cw", count=3), PlannedRun("square_ccw", count=3, payload_kg=100.0)])
-    assert len(more.runs) == len(driven.included().runs) + 7
+    assert len(more.runs) == len(driven.included().runs) + 6
     now, then = Promise.of(estimate_geometry(driven)), promised(more)
     track = [next(each.half_width for each in one.estimates if each.name == "track_m") for one in (now, then)]
     assert track[1] < 0.1 * track[0]

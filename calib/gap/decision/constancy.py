@@ -118,8 +118,8 @@ def without_refuted(evidence: Evidence, groups: Sequence[Sequence[str]]) -> list
 def _is_predicted(evidence: Evidence, effect: str) -> bool:
     """Return whether a cause closes whole sessions held out, paired with the fit of the others alone.
 
-    No session tells of another's step. By F, as what few sessions share may be chance. Not of what may have been set
-    with the session, or follows their order as steps that last do.
+    By F, as what few sessions share may be chance. Not of what may have been set with the session, or follows their
+    order as steps that last do.
     """
     from scipy.special import fdtrc
 

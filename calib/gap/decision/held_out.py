@@ -156,9 +156,17 @@ def measure_closure(
 ) -> HeldOut:
     """Fit on the other folds, predict the held-out one, and compare with the model alone.
 
-    `rng`: for the bootstrap; `sessions`: hold sessions out where there are three or more, else conditions;
-    `floor_factor`: variance of the noise level over `noise`'s, where the fit's residual counts as noise; `as_counted`
-    (n_units, n_channels): gap to state instead, before a blunder was corrected.
+    Parameters
+    ----------
+    left_out : HeldOutFit
+    rng : numpy.random.Generator
+        For the bootstrap.
+    sessions : bool
+        Hold sessions out where there are three or more; else conditions.
+    floor_factor : float
+        Variance of the noise level over `noise`'s, where the fit's residual counts as noise.
+    as_counted : array of float, shape (n_units, n_channels), optional
+        Gap to state instead: before a blunder was corrected.
     """
     nominal, noise = left_out.nominal, left_out.noise
     before = residuals(nominal, nominal)

@@ -75,11 +75,24 @@ def kind_of(
 ) -> VerdictKind:
     """Return the verdict.
 
-    `gap_probability`: of any gap; `causes`: what would be named; `closure`: on held-out runs; `incomplete`: whether the
-    correction fails there, or a large cause differs in size between groups; `unexplained_share`: of the gap, None where
-    none is probable; `tied`: whether a more than small cause is confounded with an effect of another family;
-    `supported`: whether the runs support a noise level; `misfit`: how far runs end off with the causes corrected, over
-    their length, on average.
+    Parameters
+    ----------
+    gap_probability : float
+        Of any gap.
+    causes : sequence of Cause
+        What would be named.
+    closure : Closure
+        On held-out runs.
+    incomplete : bool
+        Whether the correction fails on held-out runs, or a large cause differs in size between groups.
+    unexplained_share : float, optional
+        Share of the gap that no cause explains; none is probable by default.
+    tied : bool
+        Whether a more than small cause is confounded with an effect of another family.
+    supported : bool
+        Whether the runs support a noise level.
+    misfit : float
+        How far runs end off with the causes corrected, over their length, on average.
     """
     high = closure.ci95[1] if closure.ci95 else 1.0
     unexplained = unexplained_share is not None

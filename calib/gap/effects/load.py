@@ -43,8 +43,7 @@ def _model_slopes(observations: Observations) -> FloatArray:
 def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
     """Return the slopes of the left and right radius against load, shape (2,).
 
-    The model's, else the hypothesis' `own` (2,). Without either a payload does nothing: an assumed slope would let one
-    misreported payload stand for the law.
+    The model's, else the hypothesis' `own` (2,). Without either a payload does nothing.
     """
     slopes = _model_slopes(path.s)
     if slopes.any() or path.perturbation.law_slopes is None:

@@ -280,8 +280,8 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
 def _eliminated(matrix: FloatArray, sides: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Eliminate symmetric matrices of unit diagonal (..., k, k) beside right sides (..., k, q), all at once.
 
-    A search has some hundred thousand, for LAPACK a microsecond each. Returns pivots (k, ...), whose product is the
-    determinant, and rows (k, k + q, ...); a^T matrix^-1 b of two sides is the sum of a b / pivot.
+    Returns pivots (k, ...), whose product is the determinant, and rows (k, k + q, ...); a^T matrix^-1 b of two sides is
+    the sum of a b / pivot. LAPACK takes a microsecond for each of some hundred thousand.
     """
     k, lead = matrix.shape[-1], matrix.shape[:-2]
     rows = np.empty((k, k + sides.shape[-1], *lead))

@@ -136,9 +136,21 @@ def weigh_subsets(
     An effect may be centred elsewhere, or deviate from its form; a shift up to `ATTRIBUTED_SHIFT_SHARE` times its own
     size counts as part of it, where its zero can lie so far off.
 
-    `model`, `sizes`: numbers of the forms in the system, and their sizes in typical ones; `values` (3,): of the
-    calibration, relative, all free; `covariance` (4 + n_parameters, 4 + n_parameters): of left radius, right radius,
-    track and front radius, and the sizes; `shifts`: parameters that another zero point of an effect would look like.
+    Parameters
+    ----------
+    system : LinearSystem
+    model : sequence of int
+        Forms, by their numbers in the system.
+    sizes : sequence of array of float
+        Size of each, in typical sizes.
+    values : array of float, shape (3,)
+        Relative size of each calibration parameter, all free.
+    covariance : array of float, shape (4 + n_parameters, 4 + n_parameters)
+        Of left radius, right radius, track and front radius, relative, and the sizes.
+    settings : SearchSettings
+        Assumptions of the search.
+    shifts : mapping of str to tuple of str
+        Calibration parameters that another zero point of each effect would look like.
     """
     directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
     norm = np.maximum(np.sqrt((directions**2).sum(axis=0)), 1e-12)

@@ -236,9 +236,20 @@ def scalar_products(
 ) -> Sums:
     """Return the scalar products of columns and gap under each scale of the lack of fit.
 
-    `reduced`: nuisances, columns, gap, a wide form's columns, those common to all blocks; `kinds`: components of the
-    lack of fit, numbered; `common`: places of columns common to all blocks, by number; `sizes`: numbers of nuisances,
-    columns and a wide form's; `scales`, `prior_rest`: of the lack of fit, and its prior odds.
+    Parameters
+    ----------
+    reduced : Reduced
+        Nuisances, columns, gap, a wide form's columns, those common to all blocks.
+    kinds : sequence of tuple
+        Components of the lack of fit, each with its number.
+    common : dict of int to slice
+        Places of columns common to all blocks, by number.
+    sizes : tuple of int
+        Numbers of nuisances, columns and a wide form's columns.
+    scales : sequence of float
+        Of the lack of fit.
+    prior_rest : float
+        Prior odds of a lack of fit.
     """
     m, p, w = sizes
     core, apart = slice(0, m + p + 1), slice(m + p + 1, m + p + 1 + w)

@@ -87,9 +87,21 @@ def covariate_test(
 ) -> CovariateResult | None:
     """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
 
-    That of the smallest p, times the number of channels; not yet held to the table's error. `values` (n_units,);
-    `scaled` (n_units, n_channels): gap over noise level, NaN where a unit lacks the channel; `weights` (n_draws,
-    n_units): how often the bootstrap draws each unit; `most_dof`: how well the noise level is known.
+    Parameters
+    ----------
+    name : str
+    values : array of float or str, shape (n_units,)
+    scaled : array of float, shape (n_units, n_channels)
+        Gap over noise level; NaN where a unit lacks the channel.
+    weights : array of float, shape (n_draws, n_units)
+        How often the bootstrap draws each unit.
+    most_dof : float
+        How well the noise level is known.
+
+    Returns
+    -------
+    CovariateResult or None
+        The channel of the smallest p, times the number of channels; not yet held to the table's error.
     """
     found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
     if not found:

@@ -125,9 +125,21 @@ def locate(
     multiplied by the channels looked at, and Holm's steps hold the table to one chance in twenty of any false finding.
     Shares have bootstrap intervals over units.
 
-    `nominal`: the model alone; `gap`, `left` (n_units, n_channels): measured minus simulated, 0 where a unit lacks the
-    channel, and with its causes fitted; `floor`: what it is shown against, by default that of `noise`; `rng`: for the
-    bootstrap; `campaign`: the same runs with their logs, without it no places inside runs.
+    Parameters
+    ----------
+    nominal : Path
+        The model alone, of the observations.
+    noise : Noise
+    gap : array of float, shape (n_units, n_channels)
+        Measured minus simulated; 0 where a unit lacks the channel.
+    floor : array of float, shape (n_units, n_channels), optional
+        What the gap is shown against; by default that of `noise`.
+    rng : numpy.random.Generator
+        For the bootstrap.
+    campaign : Campaign, optional
+        The same runs with their logs: without it, no places inside runs.
+    left : array of float, shape (n_units, n_channels), optional
+        The gap with its causes fitted.
     """
     observations, lines = nominal.s, _tested(nominal, noise, gap, rng)
     places: tuple[PlaceResult, ...] = ()
@@ -207,8 +219,8 @@ def _find_places(
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
     """Say where inside the runs the gap opens, smallest p first, and what cannot be asked of these runs.
 
-    Beside each run's offset and slope, it is searched for a stretch over which it grows in all runs of a route, and
-    compared between turns and straights, stops and none. p values are multiplied by the number of places.
+    Beside each run's offset and slope: on a stretch over which it grows in all runs of a route, in turns or straights,
+    at stops. p values are multiplied by the number of places.
     """
     traces = traces_of(campaign.included(), observations)
     if not traces:

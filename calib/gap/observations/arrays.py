@@ -332,8 +332,7 @@ class Observations:
     def _over_way(self, of: Callable[[FloatArray], FloatArray]) -> FloatArray:
         """Return the mean of a function of the steering angle over the front wheel's way, (n_steps,).
 
-        The mean of both ends, and a sixth of what function and wheel's rate change by: over a whole turn errors cancel,
-        whether front wheel or rear axle keeps its speed (Euler and Maclaurin).
+        The mean of both ends, and a sixth of what function and wheel's rate change by (Euler and Maclaurin).
         """
         angle, half = np.nan_to_num(self.steer_rad), 0.5 * np.nan_to_num(self.steer_change_rad)
         begin, end = of(angle - half), of(angle + half)

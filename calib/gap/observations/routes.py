@@ -166,8 +166,17 @@ def replicates(
 
     Replicates share a condition; those of one session, temperature, dwell and further columns share a cell.
 
-    `campaign`: its vehicle scales the loads that are told apart; `heading_rad` (n_obs,): measured turn, NaN where not
-    measured; `numbers`, `labels`: covariates, and ``session``, ``kind`` and ``direction``, each (n_obs,).
+    Parameters
+    ----------
+    campaign : Campaign
+        Its vehicle scales the loads that are told apart; its further columns tell cells apart.
+    driven : WheelTravel
+    heading_rad : array of float, shape (n_obs,)
+        Measured turn, NaN where not measured.
+    numbers : mapping of str to array of float, shape (n_obs,)
+        Covariates.
+    labels : mapping of str to array of str, shape (n_obs,)
+        ``session``, ``kind`` and ``direction``.
     """
     route = row_numbers([routes(driven, heading_rad), labels["direction"], lane_names(labels["kind"])])
     nothing = np.zeros(len(route))

@@ -110,8 +110,7 @@ def _confirmed(
 ) -> Diagnosis:
     """Return the diagnosis with the fix that the simulator was run with.
 
-    A parameter's curvature may pass for a further cause: the search is repeated with what runs of a fix by parameters
-    alone, or else beside the other causes, showed.
+    A parameter's curvature may pass for a further cause: the search is repeated with what those runs showed.
     """
     diagnosis = searched(differences)
     named = named_parameters(diagnosis, runner)
