@@ -100,8 +100,8 @@ def _apply(
 ) -> str | None:
     """Write the model with its correction, and say so where that is not recommended or nothing is to be written.
 
-    Returns the step that it was, empty where what the diagnosis leads to holds, None where the gap leaves nothing to
-    write. `effects`: those that the model has; None for a simulator, of which the parameters to set are written.
+    Returns the step that it was, empty where the diagnosis' own holds, None where there is nothing to write.
+    `effects`: those that the model has; None for a simulator.
     """
     from calib.coefficients.file import effects_left_out, fitted_beside
     from calib.gap.apply import applied_model

@@ -325,7 +325,7 @@ def steps_of(s: Observations, perturbation: Perturbation) -> Steps:
 def _bend(s: Observations, turn: FloatArray) -> FloatArray:
     """Return by how much the mean heading of each step differs from the mean of its ends, shape (n_steps,).
 
-    A parabola of headings by a twelfth of its second difference: matters for logs of a few hertz on winding routes.
+    A parabola of headings by a twelfth of its second difference: matters at a few hertz.
     """
     bend = np.zeros(len(turn))
     bend[1:-1] = (turn[:-2] - turn[2:]) / 24.0

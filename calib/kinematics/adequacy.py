@@ -18,7 +18,7 @@ from calib.kinematics.model import Model, Segments
 from calib.kinematics.readings import implausible_lengths
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS, flattened, left_within, whitened
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 #: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
 LACK_OF_FIT: Final = 3.0
@@ -188,7 +188,8 @@ def judged(
 
     def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
         at, left = used & seen[:, columns].any(axis=1), within[columns.start // 2]
-        scatter = _scatter(after[:, columns], in_session, at) or _scatter(after[:, columns], replicates, at)
+        scatters = (_scatter(after[:, columns], group, at) for group in (in_session, replicates))
+        scatter = next((size for size, dof in scatters if dof >= REPLICATE_DOF and size), 0.0)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
         # scatter over sessions that differ is no noise
         noise = min(scatter or usual, left)
@@ -209,9 +210,29 @@ def judged(
     large |= np.abs(after[:, 2]) > SMALL_SHARE * rotated_rad
     named = tuple(fault for fault in faults if fault.seen or WRONG not in (level, level_of_heading))
     extra = (*impossible, *_further(fitted, whole, outliers, large, position, heading))
+    if not (named or extra or reasons or more):
+        runs = whole.recording.run_id[whole.segments.run[used]]
+        scatter_m, dof = _scatter(after[:, :2], replicates, used)
+        extra = (*_harmed(runs, before[used], after[used], way_m[used], scatter_m, dof),)
     verdicts = (level, level_of_heading, WRONG if named or impossible else DOUBTFUL if extra else CALIBRATED)
     why = (*(fault.text for fault in named), *extra, *reasons, *more)
     return Judgement(max(verdicts, key=list(GeometryVerdict).index), position, heading, why, named)
+
+
+def _harmed(
+    run_id: StrArray, before: FloatArray, after: FloatArray, way_m: FloatArray, scatter_m: float, dof: int
+) -> Iterator[str]:
+    """Yield the run that the result leads further off than calibrated odometry ends, beyond the replicates' scatter."""
+    from scipy.special import fdtri
+
+    near, left = (np.hypot(*part[:, :2].T) for part in (before, after))
+    worse = np.where(left > SMALL_SHARE * way_m, left**2 - near**2, 0.0)
+    worst = int(np.argmax(worse))
+    if dof and worse[worst] > scatter_m**2 * fdtri(2.0, 2.0 * dof, 1.0 - OUTLIER_CHANCE / len(worse)):
+        yield (
+            f"position: run {run_id[worst]} ends {1e3 * left[worst]:.3g} mm off with the result and "
+            f"{1e3 * near[worst]:.2g} mm without it: 'calib diagnose' looks for a cause that acts elsewhere alone"
+        )
 
 
 def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
@@ -249,10 +270,10 @@ def rms(residuals: FloatArray) -> float:
     return float(np.sqrt(np.mean(np.square(residuals).sum(axis=1)))) if len(residuals) else 0.0
 
 
-def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> float | None:
+def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> tuple[float, int]:
     members = [after[used & (group == number)] for number in np.unique(group[used])]
-    squares, dof = sum(len(part) * part.var(axis=0).sum() for part in members), used.sum() - len(members)
-    return float(np.sqrt(squares / dof)) if dof >= REPLICATE_DOF else None
+    squares, dof = sum(len(part) * part.var(axis=0).sum() for part in members), int(used.sum()) - len(members)
+    return float(np.sqrt(squares / max(dof, 1))), dof
 
 
 def _replicates(whole: Model, path: FloatArray) -> IntArray:

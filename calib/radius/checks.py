@@ -94,10 +94,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
 
 
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
-    """Return what load would explain the load and session, or single run, furthest off the line.
-
-    Empty where others leave the line too, nobody has that load, or not `several`.
-    """
+    """Return what load would explain what is furthest off the line; empty where others are off, or nobody has it."""
     fit, n = runs.fit, len(runs.x)
     if fit.model != "line" or fit.design == "confounded":
         return ""

@@ -335,7 +335,7 @@ def _other_reading(radii: EffectiveRadii) -> str:
     """Return the readings of the table that explain both wheels' radii best; empty where chance may be as good.
 
     Scatter comes that near to another reading with a probability of the ratio of the squares to the power of half their
-    degrees of freedom (one wheel's: a path moves both), times the number of readings tried.
+    degrees of freedom (of one wheel), times the number of readings tried.
     """
     loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
     radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))

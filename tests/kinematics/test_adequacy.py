@@ -222,3 +222,22 @@ def test_few_runs_are_held_out_only_where_the_others_tell_as_much(senses: tuple[
     assert (adequacy["held_out_rms_m"] is not None) is told
     assert ("too few runs to hold one out" in verdict_sentences(found)[0]) is not told
     assert "nothing is gained" not in " ".join(verdict_sentences(found))
+
+
+def test_a_run_that_the_result_leads_aside_is_no_chance() -> None:
+    """A route of its own ends right without the result: of 400 sound results one in a hundred, at most ten, says so."""
+    from calib.kinematics.adequacy import _harmed
+
+    run_id, way_m = np.array(["r0", "r1", "r2"]), np.full(3, 8.0)
+    before, after = np.zeros((3, 3)), np.array([[0.01, 0.0, 0.0], [0.0, 0.142, 0.0], [0.0, 0.03, 0.0]])
+    assert ["run r1 ends 142 mm" in text for text in _harmed(run_id, before, after, way_m, 0.009, 2)] == [True]
+    # as small as calibrated odometry leaves, or scattered as much
+    assert not [*_harmed(run_id, before, after, 5.0 * way_m, 0.009, 2)]
+    assert not [*_harmed(run_id, before, after, way_m, 0.05, 2)]
+    rng, said = np.random.default_rng(1), 0
+    for _ in range(400):
+        replicates, noise = rng.normal(size=(3, 2)), np.zeros((3, 3))
+        noise[:, :2] = rng.normal(size=(3, 2))
+        scatter_m = float(np.sqrt(3.0 * replicates.var(axis=0).sum() / 2.0))
+        said += len([*_harmed(run_id, before, noise, 1e-3 * way_m, scatter_m, 2)])
+    assert said <= 10

@@ -85,10 +85,7 @@ def _longer(campaign: Campaign, most: float) -> FloatArray:
 
 
 def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[tuple[str, int, float, float]]:
-    """Yield where a median many standard errors off exceeds what is allowed: in all sessions, else in single ones.
-
-    With the number of runs, the median and its standard error; `values`: NaN where unknown.
-    """
+    """Yield where a median (of how many, with its error) exceeds what is allowed, in all sessions or single ones."""
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < _LEAST_STRAIGHT_RUNS:
         return

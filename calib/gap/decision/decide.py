@@ -240,9 +240,8 @@ def _small(evidence: Evidence, causes: Sequence[Cause], probable: set[str]) -> t
 def _form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
     """Return the causes whose part a second form of a larger cause explains as well.
 
-    No form is exact: a play between two on offer leaves what looks like a smaller cause. A form that acts the other way
-    is no error of the fitted one (counts that both wheels lose are a radius that follows the speed), nor is a cause of
-    its family: the straight part of a law of the load belongs to its correction.
+    No form is exact: a play between two on offer leaves what looks like a smaller cause. No error is what acts the
+    other way, or a cause of its family: the straight part of a law of the load belongs to its correction.
     """
     if len(causes) < 2:
         return ()

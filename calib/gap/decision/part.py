@@ -160,10 +160,7 @@ def _moved_by(evidence: Evidence, names: Collection[str]) -> set[str]:
 def _tried(
     evidence: Evidence, names: Collection[str], stepping: Collection[str], acting: Collection[str]
 ) -> tuple[Fitted, Improvement, tuple[Trial, ...], tuple[str, ...]]:
-    """Return the fit of some causes, what it does on held-out runs, and in words where it makes them worse.
-
-    Session steps are fitted beside and taken off the gap; `acting`: causes whose calibration may change.
-    """
+    """Return the fit of causes beside session steps, its effect on held-out runs, and in words where that is worse."""
     forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
     along = _along(evidence, acting)
     fitted = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)

@@ -221,7 +221,7 @@ def _noise_rad(observations: Observations, angle: FloatArray) -> float:
 def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
     """Return the steering angle that the rear wheels' turn tells, shape (n_steps,); NaN where the vehicle hardly moves.
 
-    By a line through the headings to either side, less the median on the straight: unequal radii are no steering.
+    By a line through the headings to either side, less the median on the straight.
     """
     steered = np.concatenate([_bend_rad(part) for part in observations.parts()])
     straight = (np.abs(angle) < TURN_ANGLE_RAD) & np.isfinite(steered)

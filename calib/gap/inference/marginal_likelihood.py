@@ -281,7 +281,7 @@ def _eliminated(matrix: FloatArray, sides: FloatArray) -> tuple[FloatArray, Floa
     """Eliminate symmetric matrices of unit diagonal (..., k, k) beside right sides (..., k, q), all at once.
 
     Returns pivots (k, ...), whose product is the determinant, and rows (k, k + q, ...); a^T matrix^-1 b of two sides is
-    the sum of a b / pivot. LAPACK takes a microsecond for each of some hundred thousand.
+    the sum of a b / pivot.
     """
     k, lead = matrix.shape[-1], matrix.shape[:-2]
     rows = np.empty((k, k + sides.shape[-1], *lead))

@@ -108,10 +108,7 @@ def _confirmed(
     runner: SimulatorRunner,
     rng: np.random.Generator,
 ) -> Diagnosis:
-    """Return the diagnosis with the fix that the simulator was run with.
-
-    A parameter's curvature may pass for a further cause: the search is repeated with what those runs showed.
-    """
+    """Return the diagnosis with the fix that the simulator was run with, searched again beside its curvature."""
     diagnosis = searched(differences)
     named = named_parameters(diagnosis, runner)
     found = iterated(diagnosis, runner, differences) if named else None
