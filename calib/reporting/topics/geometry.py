@@ -104,14 +104,14 @@ def _cells(estimate: Estimate) -> tuple[str, ...]:
     name, factor, unit = shown_quantity(estimate.name)
     digits = places(factor * estimate.std)
     value, std, low, high = (f"{factor * x:.{digits}f}" for x in (estimate.value, estimate.std, *estimate.ci95))
-    change = f"{100.0 * (estimate.value / estimate.nominal - 1.0):+.2f} %" if estimate.nominal else ""
+    change = f"{100.0 * (estimate.value / estimate.nominal - 1.0):+z.2f} %" if estimate.nominal else ""
     return (name, unit, f"{factor * estimate.nominal:.6g}", value, std, f"{low} to {high}", change)
 
 
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:
     sizes = [(math.hypot(along, across), turn) for along, across, turn in (route.before_rms, route.after_rms)]
     errors = [f"{1e3 * size:.1f}" for pair in sizes for size in pair]
-    means = (f"{1e3 * mean:+.1f}" for mean in route.after_mean)
+    means = (f"{1e3 * mean:+z.1f}" for mean in route.after_mean)
     return (route.kind or "(none)", str(route.n), *errors, *means)
 
 
