@@ -1,7 +1,5 @@
 """Run the command line as ``python -m calib`` or ``calib``; an interruption during the imports is one line, too."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -5,8 +5,6 @@ swapped with it in one step. Where that cannot be the new entries are made insid
 move, which `settle` finishes after a crash. A killed writer leaves the old or the new content.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import platform

@@ -4,8 +4,6 @@ Inside the package everything is SI (m, rad, s, kg, N, degrees Celsius for floor
 columns and keys are converted at the border.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import Final, TypeVar
 

@@ -1,7 +1,5 @@
 """The vehicle: its geometry, mass and static wheel loads."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import Annotated, Final, Literal
 

@@ -3,8 +3,6 @@
 Arguments are held against their annotations: what cannot be used is a `BadInputError`.
 """
 
-from __future__ import annotations
-
 import inspect
 import operator
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -3,8 +3,6 @@
 Wrong are blunders in units and settings: a factor beyond what wear, load or a poor nominal value explain.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator

@@ -3,8 +3,6 @@
 The cache holds a file of plain columns a log, under its content's hash; it may be deleted at any time.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -4,8 +4,6 @@ What follows: counts and distances of the logs, loads of the payload, and refere
 gyro, its bias from standstills, and closed loops.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path

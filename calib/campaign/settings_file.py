@@ -1,7 +1,5 @@
 """``campaign.toml``, read (defaults, every value checked, units in key names converted and noted) and written."""
 
-from __future__ import annotations
-
 import datetime
 import json
 import math

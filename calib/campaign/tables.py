@@ -1,7 +1,5 @@
 """A raw run table becomes the `RunTable` of later stages; a campaign a folder, of the same bytes each time."""
 
-from __future__ import annotations
-
 import itertools
 import re
 import unicodedata

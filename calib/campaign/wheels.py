@@ -4,8 +4,6 @@ All that integrates two wheels on one axle (diagnosis, replay, the runtime's che
 on its front wheel alone, its drive shaft and steering, or four mecanum wheels, through `on_one_axle`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final

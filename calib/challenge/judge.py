@@ -1,7 +1,5 @@
 """One verdict judged against one truth: names, groups, fix, and the intervals of its parameters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What is planted: the library's effects in the plant's forms, and causes outside it."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

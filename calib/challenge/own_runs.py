@@ -1,7 +1,5 @@
 """What this lab's data would find, and how often wrongly, by planting and diagnosing."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

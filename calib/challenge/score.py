@@ -1,7 +1,5 @@
 """The score of a set: truth opened, its hash checked, every verdict judged."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """A sealed set from a seeds file: campaigns, and all truths apart in a file whose hash is stored."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """`calib init`, `ingest` and `check`: a campaign, empty or from raw lab files, what is wrong with it; `calib fleet`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

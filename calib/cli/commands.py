@@ -1,7 +1,5 @@
 """The commands, each in a module that is imported when it is called; for all of them: inputs are never written."""
 
-from __future__ import annotations
-
 import importlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """The entry point: parses, calls, and turns known errors into one line and an exit status."""
 
-from __future__ import annotations
-
 import errno
 import os
 import re

@@ -1,7 +1,5 @@
 """What many vehicles show together: spread of their quantities, outliers, labels that differ, shared findings."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Whether a geometry is adequate: residuals of runs used and held out, against the noise."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -9,8 +9,6 @@ those of the vehicle in the linearised problem. It is named where its size is be
 groups of segments, and of whole runs, where it explains more of the residual than is left without it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial

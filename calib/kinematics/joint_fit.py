@@ -8,8 +8,6 @@ a linkage with play, rests at another angle each time. Their deviations are rand
 estimates the common zero and the other parameters, and the spread is part of the uncertainty.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Final
 

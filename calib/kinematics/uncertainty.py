@@ -1,7 +1,5 @@
 """Covariance by clusters of runs or blocks (sandwich), and whether sessions differ."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise

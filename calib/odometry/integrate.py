@@ -4,8 +4,6 @@ By arrays, sums are carried from block to block, which keeps their rounding belo
 (numba, extra `fast`) headings count from the first of a few steps, so that a short series gives sine and cosine.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Every form of every effect; here those of place, instruments, and no library."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Final
 

@@ -1,7 +1,5 @@
 """A design and a truth make a campaign: a drive, read by instruments."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

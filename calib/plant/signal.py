@@ -3,8 +3,6 @@
 It is the whitened norm of what an effect does in noise-free drives, beside a recalibration.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Final

@@ -1,7 +1,5 @@
 """What wheels leave that differ from the model's, and what depends on how the vehicle moves."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from calib.plant.design import COLUMNS, REFERENCE_LOAD_N, Design

@@ -1,7 +1,5 @@
 """Checks of a wheel's fit; each says what it means and what to do."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Final
 

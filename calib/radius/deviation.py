@@ -4,8 +4,6 @@ The rangefinder sees S_O along the corridor. A path longer by the share e makes 
 relative error is 1 / (1 + e) - 1.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final

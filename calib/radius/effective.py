@@ -1,7 +1,5 @@
 """Effective radius of each wheel and run, r_e = S / (2 pi n) (Eq. 6), and its budget."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """From a campaign to the laws of both wheels, held against instruments, temperature and other readings of the table."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final

@@ -10,8 +10,6 @@ freed of the bias that the fitted mean and line give it; where it is significant
 that of the same least-squares estimates under it, with Satterthwaite's degrees of freedom.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Results as plain text: values to the digits that their uncertainty allows, and blocks fitted to the width."""
 
-from __future__ import annotations
-
 import math
 import re
 import textwrap

@@ -3,8 +3,6 @@
 Needs Bokeh: importing this module raises MissingExtraError where it is not installed.
 """
 
-from __future__ import annotations
-
 import base64
 import gzip
 from collections.abc import Mapping

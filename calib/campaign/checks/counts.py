@@ -1,7 +1,5 @@
 """Encoder counts and logs: sign, scale, overflow, swapped wheels, the clock, jumps, speed, paths."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Final

@@ -1,7 +1,5 @@
 """Design of the campaign: assumed settings, loads and sessions, replicates; what all checks share."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial

@@ -1,7 +1,5 @@
 """Distances and wheel loads: present, in their unit, permitted, consistent with each other and the vehicle."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from typing import Final

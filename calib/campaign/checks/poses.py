@@ -1,7 +1,5 @@
 """End poses: in their unit and frame, and in agreement with distances, counts and logs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import Final

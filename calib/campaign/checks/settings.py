@@ -1,7 +1,5 @@
 """What changes every answer and shows in no cell: counts per revolution, clocks, late logs, rounded values."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Final
 

@@ -1,7 +1,5 @@
 """Build a campaign folder of raw laboratory files."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping as MappingType
 from collections.abc import Sequence

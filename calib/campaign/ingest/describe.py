@@ -1,7 +1,5 @@
 """Describe files, propose a mapping as commented TOML; write a blank campaign."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

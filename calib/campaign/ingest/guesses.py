@@ -3,8 +3,6 @@
 English, German, French, Italian, Spanish; a lag shows in how the speeds correlate.
 """
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Mapping

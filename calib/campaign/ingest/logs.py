@@ -1,7 +1,5 @@
 """Logs and recordings under calib's names: streams joined on the wheels' times, counts, clocks."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from collections.abc import Mapping as MappingType
 from dataclasses import dataclass, field, replace

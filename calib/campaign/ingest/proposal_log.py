@@ -1,7 +1,5 @@
 """The lines proposed for logs and recordings: clock, wheels (both sides or neither), reference, rangefinder."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping, Sequence

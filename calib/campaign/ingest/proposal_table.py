@@ -1,7 +1,5 @@
 """The lines proposed for a run table: its columns, other sheets', and the names of the runs' logs."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from itertools import chain, takewhile

@@ -1,7 +1,5 @@
 """The run table under calib's names, and which file is the log of which run."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from collections.abc import Mapping as MappingType
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Segmentation of recordings into runs, each in its start frame."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping as MappingType
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Text tables: encoding, remarks, delimiter and decimal mark are recognised and noted."""
 
-from __future__ import annotations
-
 import codecs
 import csv
 import io

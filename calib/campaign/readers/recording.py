@@ -4,8 +4,6 @@ A TUM trajectory (``.tum``) has lines of ``timestamp tx ty tz qx qy qz qw``, wit
 ``ros`` extra: ROS 1 bags, rosbag2 folders and files (sqlite3, MCAP), plain MCAP.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from array import array

@@ -3,8 +3,6 @@
 Nothing is dropped in silence: what is no row of the table is noted by its place.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, repeat, zip_longest

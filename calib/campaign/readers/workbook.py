@@ -1,7 +1,5 @@
 """Excel workbooks (``.xlsx``), counted before they are unpacked, and Parquet tables with the ``parquet`` extra."""
 
-from __future__ import annotations
-
 import datetime
 import re
 import zipfile

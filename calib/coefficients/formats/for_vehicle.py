@@ -11,8 +11,6 @@ metre adds L h^2 to heading and L^3 h^2 / 3 across. Each encoder is read once at
 first reading turns all that follows. Twist: at `SPEED_MPS` and `TURN_RATE_RADPS`, taken over `WINDOW_S`.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import sys

@@ -1,7 +1,5 @@
 """Models of simulators: radii and places of the wheels in ROS's URDF, Gazebo's SDF and MuJoCo's MJCF, and plugins."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Final

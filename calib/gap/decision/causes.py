@@ -1,7 +1,5 @@
 """The named causes with their sizes and shares, and the unexplained residual beside them."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations

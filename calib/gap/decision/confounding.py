@@ -1,7 +1,5 @@
 """Confounded effects, how far their corrections differ, and the probability of each effect."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final

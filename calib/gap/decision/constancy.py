@@ -4,8 +4,6 @@ Steps too small to name are a variance component (Searle, Casella, McCulloch, Va
 likelihood gives their scatter, Satterthwaite's degrees of freedom how well it is known.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final

@@ -1,7 +1,5 @@
 """From evidence to diagnosis: what is named, which verdict that gives, and what the fix is worth."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import prod, sqrt

@@ -1,7 +1,5 @@
 """Whether to apply a fix: it helps on held-out runs, harms nowhere beyond noise, and is determined."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import inf, prod, sqrt

@@ -1,7 +1,5 @@
 """Held-out validation: how far the gap shrinks on runs not fitted on, and where the correction helps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 

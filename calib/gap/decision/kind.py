@@ -1,7 +1,5 @@
 """The kind of verdict by gap probability, causes and closure, and the decision's thresholds."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import sqrt

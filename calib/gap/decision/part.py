@@ -1,7 +1,5 @@
 """The fix of the sure causes, where that of all is not recommended."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import Final

@@ -1,7 +1,5 @@
 """Trials of a correction: each route, speed, load, direction and session held out in turn."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final

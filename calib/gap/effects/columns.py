@@ -1,7 +1,5 @@
 """Effects that are not in the library: columns of the run table, declared effects, classes by entry point."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import EntryPoint, entry_points

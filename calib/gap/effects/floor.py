@@ -1,7 +1,5 @@
 """Places on the floor, its slope, and differences between the directions of travel."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial

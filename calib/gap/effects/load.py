@@ -1,7 +1,5 @@
 """Radii that follow the load, and loads that were misreported."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Final
 

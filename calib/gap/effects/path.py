@@ -1,7 +1,5 @@
 """The path between the ends: a weave, stops, and the integration of an outside simulator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Final

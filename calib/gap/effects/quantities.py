@@ -1,7 +1,5 @@
 """Quantities that effects share: plausible sizes on a vehicle, speed, curvature, sessions, motion at the ends."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Radii and track off by what a plain recalibration absorbs, or drifting with temperature, use, session or speed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, Final

@@ -1,7 +1,5 @@
 """The front wheel: errors of its steering angle."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Scrub, slip, understeer and load transfer in turns."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial

@@ -4,8 +4,6 @@ y = C beta + sum_k S_k theta_k + R + noise. R is an offset of channel or calibra
 of its own, or a trend on the surroundings; its scale is averaged over a grid with zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

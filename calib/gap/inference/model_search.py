@@ -1,7 +1,5 @@
 """Search over sets of effects, linearised again about each better one until converged."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Which calibration parameters are off beside some effects: posterior probability of each subset of them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations

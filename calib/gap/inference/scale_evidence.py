@@ -5,8 +5,6 @@ is taken about the most likely ones (Laplace; Tierney, Kadane: Accurate approxim
 marginal densities, JASA 81 (1986), 82-86).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from typing import Final
 

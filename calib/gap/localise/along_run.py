@@ -1,7 +1,5 @@
 """The gap along each run, and the stretch of a route where it grows: a zone of the ground, a joint."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Observations laid end to end as arrays, and the channels that each has."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 

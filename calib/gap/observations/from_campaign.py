@@ -1,7 +1,5 @@
 """From a campaign to observations: runs, or windows of recordings, in the frames of their starts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import compress, pairwise

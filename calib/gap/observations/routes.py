@@ -1,7 +1,5 @@
 """Replicates and guided runs, told by what was driven: length, turn, curvature, speed and loads."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Identifiability: which effects some runs would detect, at which size, and separate from which others."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final

@@ -1,7 +1,5 @@
 """Which runs to drive next, best first, to separate confounded effects; plans and candidates from a file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from pathlib import Path as FilePath

@@ -1,7 +1,5 @@
 """Planned runs: what to drive, candidates, and the campaign that an exact model would record."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise, product

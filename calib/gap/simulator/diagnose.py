@@ -1,7 +1,5 @@
 """A diagnosis in the parameters of the user's simulator, and a fix that it confirms itself."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath

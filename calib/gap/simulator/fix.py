@@ -1,7 +1,5 @@
 """The fix of a simulator: what to set in it, by running it again, and the closure that it shows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final

@@ -1,7 +1,5 @@
 """Read ``SIM.toml``: the user's simulator's command and parameters."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """The score of a challenge, and the radii of a fleet, as pictures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path

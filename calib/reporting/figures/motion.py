@@ -1,7 +1,5 @@
 """Figures of wheel loads, of Section 7, of errors along a path, and of calibrated paths."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final, Literal, TypedDict
 

@@ -1,7 +1,5 @@
 """Style of all figures, and their files: the same bytes for the same figure."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace

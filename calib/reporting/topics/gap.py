@@ -1,7 +1,5 @@
 """Gap: its place, causes and closure."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Final

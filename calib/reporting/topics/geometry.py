@@ -1,7 +1,5 @@
 """Geometry: parameters, identifiability, residuals by route."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Pages that only a report has: item, method, conditions, regression, coefficients, budget, limits and files."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from typing import Any, Final
