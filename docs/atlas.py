@@ -21,6 +21,7 @@ from calib.gap.effects.effect import Effect
 from calib.gap.effects.library import REGISTRY, EffectSignature, effect_class, signature_of
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
+from calib.gap.plan.routes import Dimensions
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
 from calib.reporting.figures.gap import signature_figure
@@ -53,7 +54,7 @@ def yard() -> Campaign:
         )
         for k in range(len(runs))
     ]
-    return drive(replace(campaign, extra={}), planned, Measured(front=True), CORRIDOR_M)
+    return drive(replace(campaign, extra={}), planned, Measured(front=True), Dimensions(CORRIDOR_M))
 
 
 def page_of(effect: Effect, signature: EffectSignature | None) -> str:

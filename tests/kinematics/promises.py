@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.gap.plan.planned_runs import Measured, PlannedRun, drive, route_of
+from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
+from calib.gap.plan.routes import Dimensions, route_of
 from calib.kinematics.assemble import Promise, promised
 from calib.kinematics.drives import GYRO_SCALE_STD
 from calib.kinematics.estimate import estimate_geometry
@@ -57,7 +58,7 @@ LABS = {
 def promise(lab: Lab) -> Promise:
     """Return what the runs promise, at the noise that `simulated` has."""
     nominal = campaign([("corridor", [(1.0, 0.0)])], Truth(0.05, 0.05, 0.4), np.random.default_rng(0))
-    planned = drive(nominal, lab.runs, lab.measured, CORRIDOR_M)
+    planned = drive(nominal, lab.runs, lab.measured, Dimensions(CORRIDOR_M))
     # at the end alone, while the noise of a reference is counted at both ends
     variances = 0.5 * np.square(lab.sigma)
     return promised(planned, np.array([*variances, WALK**2, 1e-10]))
@@ -70,7 +71,7 @@ def simulated(lab: Lab, rng: np.random.Generator) -> tuple[Truth, Campaign]:
     truth = Truth(mean * (1.0 - half), mean * (1.0 + half), 8.0 * mean * (1.0 + 0.02 * rng.normal()))
     drives = []
     for run in lab.runs:
-        route = route_of(run.kind, CORRIDOR_M)
+        route = route_of(run.kind, Dimensions(CORRIDOR_M))
         legs: list[Leg] = [(float(a), float(b)) for a, b in zip(route.length_m, route.turn_rad, strict=True)]
         by = {"loop"} if run.loop else {"tape"} if run.tape else set()
         drives.append(Drive(run.kind, legs, frozenset(by | ({"gyro"} if lab.measured.gyro else set()))))

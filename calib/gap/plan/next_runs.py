@@ -20,15 +20,14 @@ from calib.gap.inference.noise import Noise
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan import planned_runs
 from calib.gap.plan.identifiability import ENOUGH_SD, Apart, Signatures, noise_at, tied, untied
-from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Measured, PlannedRun, drive, joined, route_of
+from calib.gap.plan.planned_runs import Measured, PlannedRun, drive, joined
+from calib.gap.plan.routes import DEFAULT_CORRIDOR_M, Dimensions, dimensions_of, route_of, size_of
 from calib.gap.predict import Path, predict
 
 #: runs to recommend: about an hour of driving
 MOST_RUNS: Final = 5
 #: runs of a route that show its scatter
 REPEATS: Final = 3
-#: recorded distances of corridors
-CORRIDOR_RANGE_M: Final = (2.0, 500.0)
 
 
 def next_runs(
@@ -54,14 +53,14 @@ def next_runs(
     recommend, beside the unladen one.
     """
     driven = campaign.included()
-    measured = _measured(driven)
-    if not (candidates := _candidates(driven, measured, ties) if candidates is None else candidates):
+    measured, dimensions = _measured(driven), dimensions_of(driven)
+    if not (candidates := _candidates(driven, measured, dimensions, ties) if candidates is None else candidates):
         return []
     # the unladen run comes first; where nothing shows the noise so far, one repeat more does
-    more, unladen = int(noise.dof <= 0.0), _corridor_run(driven)
+    more, unladen = int(noise.dof <= 0.0), _corridor_run(driven, dimensions)
     unladen = replace(unladen, tape=not (measured.distance or measured.position), count=1 + more * REPEATS)
     runs = [unladen, *(replace(run, count=_count(driven, run) + more) for run in candidates)]
-    observations = observations_of(joined(driven, drive(driven, runs, measured, _corridor_m(driven))))
+    observations = observations_of(joined(driven, drive(driven, runs, measured, dimensions)))
     path = predict(observations)
     noise, names = noise_at(path, noise.scales), [f"next{number:03d}" for number in range(len(runs))]
     number = np.array([names.index(name) if name in names else -1 for name in observations.labels["run_id"]])
@@ -102,12 +101,12 @@ def next_runs(
     proposed += [replace(runs[n], why=_OF_LAW) for n in later]
     # what tells nothing by itself comes last
     runs = sorted(proposed, key=lambda run: run.why == _BESIDE)
-    return [_stated(run, _corridor_m(driven), by_laser=measured.distance) for run in runs]
+    return [_stated(run, dimensions, by_laser=measured.distance) for run in runs]
 
 
-def _stated(run: PlannedRun, corridor_m: float, *, by_laser: bool) -> PlannedRun:
+def _stated(run: PlannedRun, dimensions: Dimensions, *, by_laser: bool) -> PlannedRun:
     aside = _BY_TAPE * (run.tape and by_laser) + _OTHER_DAY * (run.session in planned_runs.OTHER_DAYS)
-    return replace(run, why=run.why + aside, size=planned_runs.size_of(route_of(run.kind, corridor_m)))
+    return replace(run, why=run.why + aside, size=size_of(route_of(run.kind, dimensions)))
 
 
 _OF_LAW: Final = "for 'calib fit' alone, a second load on another day: it needs two sessions of two loads or more"
@@ -118,18 +117,21 @@ _BESIDE: Final = "the same session without load, for the others to be compared w
 _OTHER_DAY: Final = "; in a session of its own, on a day when the hall has that temperature"
 
 
-def _candidates(driven: Campaign, measured: Measured, ties: Sequence[Sequence[str]]) -> list[PlannedRun]:
+def _candidates(
+    driven: Campaign, measured: Measured, dimensions: Dimensions, ties: Sequence[Sequence[str]]
+) -> list[PlannedRun]:
     tape = not (measured.distance or measured.position)
     loops = not (measured.position and measured.heading)
-    candidates = planned_runs.default_candidates(driven, loops=loops, tape=tape)
+    candidates = planned_runs.default_candidates(driven, dimensions, loops=loops, tape=tape)
     scaled = any(ReferenceScale.id in tie for tie in ties)
     if scaled if not measured.distance else not (measured.position and measured.beside):
-        candidates.append(replace(_corridor_run(driven), tape=True))
+        candidates.append(replace(_corridor_run(driven, dimensions), tape=True))
     return candidates
 
 
-def _corridor_run(driven: Campaign) -> PlannedRun:
-    return PlannedRun("corridor", "out", temperature_C=planned_runs.usual_temperature_C(driven))
+def _corridor_run(driven: Campaign, dimensions: Dimensions) -> PlannedRun:
+    usual_C = planned_runs.usual_temperature_C(driven)
+    return PlannedRun("corridor", "out", temperature_C=usual_C, speed_mps=dimensions.usual_mps)
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
@@ -157,7 +159,7 @@ def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:
     """Return the runs driven and, as their model says, those of `next_runs`."""
     driven = campaign.included()
     planned = [run for run in runs for _ in range(run.count)]
-    return joined(driven, drive(driven, planned, _measured(driven), _corridor_m(driven)))
+    return joined(driven, drive(driven, planned, _measured(driven), dimensions_of(driven)))
 
 
 def _measured(campaign: Campaign) -> Measured:
@@ -188,16 +190,6 @@ def _count(campaign: Campaign, run: PlannedRun) -> int:
     if run.tape:
         alike &= np.isfinite(runs.number("ref_x_m" if _measured(campaign).distance else "distance_m"))
     return 1 if np.count_nonzero(alike) >= REPEATS else REPEATS
-
-
-def _corridor_m(campaign: Campaign) -> float:
-    distance = campaign.runs.number("distance_m")
-    kind = campaign.runs.label("kind")
-    own = kind == "corridor"
-    corridor = (own if own.any() else np.char.startswith(kind, "corridor")) & np.isfinite(distance)
-    length = float(np.median(distance[corridor])) if corridor.any() else DEFAULT_CORRIDOR_M
-    low, high = CORRIDOR_RANGE_M
-    return length if low <= length <= high else DEFAULT_CORRIDOR_M
 
 
 FORMAT: Final = "calib-plan/1"
@@ -280,7 +272,7 @@ def read_plan(path: FilePath) -> Campaign:
         only = _IN_LOG_ONLY[settings.odometry.source]
         raise _wrong(path, "measured.log", False, f"true: without a log there is no record of {only}")
     by = Measured(measured.distance, position, heading, measured.front, measured.log, measured.gyro)
-    return drive(replace(settings, simulated=True), runs, by, measured.corridor_m)
+    return drive(replace(settings, simulated=True), runs, by, Dimensions(measured.corridor_m))
 
 
 def read_candidates(path: FilePath) -> list[PlannedRun]:

@@ -14,7 +14,8 @@ from calib.campaign.settings import Encoder, FrontModel, OdometryModel, Rangefin
 from calib.campaign.wheels import WHEEL_COLUMNS, counts_per_rev, mecanum_model, odometry_source, without_rear_wheels
 from calib.documents import plain_fields
 from calib.errors import PLANNED_SAMPLES, BadInputError
-from calib.odometry.routes import NAMED, Route, arc, radii_of_model, straight
+from calib.gap.plan.routes import ROUTE_SPACING_M, Dimensions, route_of
+from calib.odometry.routes import radii_of_model
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, wheel_loads_N
 
@@ -25,11 +26,6 @@ CORRIDORS: Final = (("corridor", "out"), ("corridor", "back"))
 SQUARES: Final = (("square_cw", ""), ("square_ccw", ""))
 BENDS: Final = (("route_left", ""), ("route_right", ""))
 CLOSED_ROUTES: Final = ("square_cw", "square_ccw", "figure8")
-#: of a route's samples
-ROUTE_SPACING_M: Final = 0.05
-#: short over long corridor: tells an offset from a scale
-SHORT_CORRIDOR: Final = 0.6
-DEFAULT_CORRIDOR_M: Final = 20.0
 #: ramps of a laden vehicle
 ACCELERATION_MPS2: Final = 0.5
 #: of vehicles' logs
@@ -38,11 +34,6 @@ LOG_PERIOD_S: Final = 0.1
 OTHER_DAYS: Final = {"next_cold": -10.0, "next_warm": 10.0}
 #: conditions of a run, as the run table names them
 CONDITIONS: Final = ("payload_kg", "payload_x_m", "payload_y_m", "speed_mps", "temperature_C", "minutes_under_load")
-#: routes beside those of `calib simulate`, each with its mirror image
-LEFT_ROUTES: Final = {
-    "route_left": (straight(5.0), arc(3.0, 0.5 * np.pi), straight(5.0), arc(1.5, 0.5 * np.pi), straight(3.0)),
-    "circle_left": (arc(1.2, 4 * np.pi),),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +75,15 @@ def usual_temperature_C(campaign: Campaign) -> float:
     return float(np.nanmedian(temperature)) if np.isfinite(temperature).any() else float("nan")
 
 
-def default_candidates(campaign: Campaign, *, loops: bool = False, tape: bool = False) -> list[PlannedRun]:
+def default_candidates(
+    campaign: Campaign, dimensions: Dimensions | None = None, *, loops: bool = False, tape: bool = False
+) -> list[PlannedRun]:
     """Return candidates over routes, directions, payloads and their place, speeds, temperatures and dwell.
 
-    Without motion capture `loops` close on a mark on the floor, `tape` measures corridors. The largest payload is the
-    campaign's, else twice the vehicle's mass.
+    `dimensions`: of routes and speeds; usual ones by default. Without motion capture `loops` close on a mark on the
+    floor, `tape` measures corridors. The largest payload is the campaign's, else twice the vehicle's mass.
     """
+    dimensions = dimensions or Dimensions()
     carried_kg = float(np.nan_to_num(campaign.runs.number("payload_kg")).max(initial=0.0))
     most_kg = carried_kg if carried_kg > 0.0 else 2.0 * campaign.vehicle.mass_kg
     usual_C = usual_temperature_C(campaign)
@@ -110,12 +104,12 @@ def default_candidates(campaign: Campaign, *, loops: bool = False, tape: bool = 
             loop="closed" if loops and kind in CLOSED_ROUTES else "",
             tape=tape and kind == "corridor",
         )
-        for (kind, direction), (payload, x, y), speed in product(routes, payloads, (0.3, 0.7))
+        for (kind, direction), (payload, x, y), speed in product(routes, payloads, dimensions.speeds_mps)
     ]
-    out = PlannedRun("corridor", "out", temperature_C=usual_C, tape=tape)
+    out = PlannedRun("corridor", "out", temperature_C=usual_C, speed_mps=dimensions.usual_mps, tape=tape)
     loaded = replace(out, payload_kg=most_kg, payload_x_m=ahead)
     candidates += [replace(loaded, minutes_under_load=minutes) for minutes in (1.0, 60.0)]
-    candidates += [replace(out, stops=4), replace(out, speed_mps=0.7, read_rolling=True)]
+    candidates += [replace(out, stops=4), replace(out, speed_mps=dimensions.speeds_mps[1], read_rolling=True)]
     candidates += [replace(out, kind=kind) for kind in ("corridor_short", "corridor_b")]
     if np.isfinite(usual_C):
         candidates += [replace(out, temperature_C=usual_C + k, session=day) for day, k in OTHER_DAYS.items()]
@@ -156,45 +150,11 @@ class Measured:
     beside: bool = True  #: position and heading on corridors, too
 
 
-def route_of(kind: str, corridor_m: float = DEFAULT_CORRIDOR_M) -> Route:
-    """Return the route of a kind.
-
-    `kind`: ``corridor`` (and its lanes ``corridor_b`` ...), ``corridor_short``, ``square_cw``, ``square_ccw``,
-    ``figure8``, ``route_left``, ``route_right``, ``circle_left``, ``circle_right``, or a named route of ``calib
-    simulate``; `corridor_m`: length of the corridor.
-
-    Raises
-    ------
-    BadInputError
-        Where there is no such route.
-    """
-    left = kind.replace("_right", "_left")
-    if kind == "corridor" or kind.startswith("corridor_"):
-        length_m = corridor_m * (SHORT_CORRIDOR if kind == "corridor_short" else 1.0)
-        return Route.from_segments(kind, straight(length_m))
-    if left in LEFT_ROUTES:
-        route = Route.from_segments(kind, *LEFT_ROUTES[left])
-        return route if kind == left else route.mirrored()
-    if kind in NAMED:
-        return Route.from_segments(kind, *NAMED[kind])
-    known = ["corridor", "corridor_short", *LEFT_ROUTES, *(name.replace("_left", "_right") for name in LEFT_ROUTES)]
-    known += [name for name in NAMED if name != "corridor"]
-    raise BadInputError(f"route: found {kind!r}; expected one of {', '.join(known)}; name one of these")
-
-
-def size_of(route: Route) -> str:
-    """Return a route's straights and radii of bends in words."""
-    pieces = list(zip(np.abs(route.length_m).tolist(), np.abs(route.turn_rad).tolist(), strict=True))
-    straights = ", ".join(dict.fromkeys(f"{length:.3g}" for length, turn in pieces if not turn))
-    radii = ", ".join(dict.fromkeys(f"{length / turn:.3g}" for length, turn in pieces if turn))
-    return f"{straights} m" * bool(straights) + " and " * bool(straights and radii) + f"radius {radii} m" * bool(radii)
-
-
 def drive(
-    campaign: Campaign, runs: Sequence[PlannedRun], measured: Measured, corridor_m: float = DEFAULT_CORRIDOR_M
+    campaign: Campaign, runs: Sequence[PlannedRun], measured: Measured, dimensions: Dimensions | None = None
 ) -> Campaign:
     """Return the noise-free campaign of runs of a campaign's vehicle, if it were exactly as its model."""
-    logs = [_log(campaign, run, measured, corridor_m) for run in runs]
+    logs = [_log(campaign, run, measured, dimensions or Dimensions()) for run in runs]
     ends = np.array([[log["_x"][-1], log["_y"][-1], log["_theta"][-1]] for log in logs])
     corridor = np.array([run.kind.startswith("corridor") for run in runs])
     numbers: dict[str, FloatArray] = {
@@ -235,9 +195,9 @@ def _logs_of(logs: Sequence[Mapping[str, FloatArray]], measured: Measured) -> Lo
     return Logs(offsets, {name: np.concatenate([log[name] for log in logs]) for name in names})
 
 
-def _log(campaign: Campaign, run: PlannedRun, measured: Measured, corridor_m: float) -> dict[str, FloatArray]:
+def _log(campaign: Campaign, run: PlannedRun, measured: Measured, dimensions: Dimensions) -> dict[str, FloatArray]:
     vehicle = campaign.vehicle
-    route = route_of(run.kind, corridor_m).divided(ROUTE_SPACING_M)
+    route = route_of(run.kind, dimensions).divided(ROUTE_SPACING_M)
     along_m = route.distance_m()
     stops_m = np.linspace(0.0, along_m[-1], run.stops + 2)
     time, driven_m = stop_and_go(stops_m, run.speed_mps, read_rolling=run.read_rolling)
@@ -352,7 +312,7 @@ def demonstration() -> Campaign:
         logs=Logs.empty(0),
     )
     runs = [_demonstrated(number) for number in range(2 * len(SESSIONS) * len(ROUTES))]
-    return drive(nominal, runs, Measured(front=True), DEFAULT_CORRIDOR_M)
+    return drive(nominal, runs, Measured(front=True))
 
 
 def _demonstrated(number: int) -> PlannedRun:

@@ -19,7 +19,8 @@ from calib.campaign.model import Campaign
 from calib.gap.decision.confounding import apart_on
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.plan.next_runs import next_runs
-from calib.gap.plan.planned_runs import PlannedRun, joined, route_of
+from calib.gap.plan.planned_runs import PlannedRun, joined
+from calib.gap.plan.routes import Dimensions, dimensions_of, route_of
 from tests.kinematics.campaigns import Leg, Truth, campaign, square
 from tests.kinematics.unaided import Drive, Gyro, unaided
 
@@ -73,9 +74,9 @@ LABS: dict[str, tuple[Lab, tuple[str, ...]]] = {
 }
 
 
-def as_driven(run: PlannedRun, *, by_gyro: bool) -> Drive:
+def as_driven(run: PlannedRun, dimensions: Dimensions, *, by_gyro: bool) -> Drive:
     """Return a proposed run as the simulation takes it: its route's segments, and what measures it."""
-    route = route_of(run.kind, CORRIDOR_M)
+    route = route_of(run.kind, dimensions)
     by = {"loop"} if run.loop else {"tape"} if run.kind.startswith("corridor") else set()
     legs = [(float(length), float(turn)) for length, turn in zip(route.length_m, route.turn_rad, strict=True)]
     return Drive(run.kind, legs, frozenset(by | ({"gyro"} if by_gyro else set())))
@@ -87,7 +88,8 @@ def with_runs(
     """Return a campaign with proposed runs driven after it, in one session."""
     by_gyro = "gyro_z_radps" in made.logs.columns
     wanted = [run for run in runs for _ in range(run.count)]
-    more = unaided([as_driven(run, by_gyro=by_gyro) for run in wanted], truth, off, rng)
+    dimensions = dimensions_of(made)
+    more = unaided([as_driven(run, dimensions, by_gyro=by_gyro) for run in wanted], truth, off, rng)
     n = len(wanted)
     labels = dict(more.runs.labels) | {
         "run_id": np.array([f"next{number:03d}" for number in range(n)]),

@@ -11,7 +11,8 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.plan.next_runs import _measured
-from calib.gap.plan.planned_runs import Measured, PlannedRun, drive, route_of, size_of
+from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
+from calib.gap.plan.routes import Dimensions, route_of, size_of
 from tests.gap.effects.making import SQUARE, STRAIGHT, Motion, Run, campaign
 
 INSTRUMENT = {"rangefinder_scale", "beam_misalignment", "rangefinder_offset"}
@@ -67,7 +68,7 @@ def test_beside_a_laser_a_tape_gives_the_place_of_the_end() -> None:
     [("corridor_short", "15 m"), ("square_cw", "4 m and radius 0.5 m"), ("figure8", "radius 2 m")],
 )
 def test_a_route_is_stated_in_metres(kind: str, words: str) -> None:
-    assert size_of(route_of(kind, 25.0)) == words
+    assert size_of(route_of(kind, Dimensions(25.0))) == words
 
 
 @pytest.mark.parametrize("turned", [False, True])

@@ -1,0 +1,130 @@
+"""Routes of planned runs: their shapes, and how long and how fast beside what was driven."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.model import Campaign
+from calib.campaign.wheels import odometry_source
+from calib.errors import BadInputError
+from calib.gap.effects.quantities import driven_speed_mps
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict
+from calib.odometry.routes import NAMED, Route, Segment, arc, straight
+
+#: short over long corridor: tells an offset from a scale
+SHORT_CORRIDOR: Final = 0.6
+DEFAULT_CORRIDOR_M: Final = 20.0
+#: routes beside those of `calib simulate`, each with its mirror image
+LEFT_ROUTES: Final = {
+    "route_left": (straight(5.0), arc(3.0, 0.5 * np.pi), straight(5.0), arc(1.5, 0.5 * np.pi), straight(3.0)),
+    "circle_left": (arc(1.2, 4 * np.pi),),
+}
+KINDS: Final = (*LEFT_ROUTES, *(name.replace("_left", "_right") for name in LEFT_ROUTES), *set(NAMED) - {"corridor"})
+#: of a route's samples
+ROUTE_SPACING_M: Final = 0.05
+#: recorded distances of corridors
+CORRIDOR_RANGE_M: Final = (0.1, 500.0)
+#: track of the vehicles that routes are made for, from half to twice as much, and how far they lead
+USUAL_TRACK_M: Final = 0.7
+USUAL_REACH_M: Final = 8.0
+#: least radius of a car's turn over its wheelbase: at a steering angle of 34 degrees
+LEAST_RADIUS: Final = 1.5
+#: slow over fast at most: else one speed was driven
+SLOWER: Final = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class Dimensions:
+    """How long and how fast planned runs are; by default those of a transport vehicle in a hall."""
+
+    corridor_m: float = DEFAULT_CORRIDOR_M
+    scale: float = 1.0  #: of routes that were not driven
+    driven: Mapping[str, float] = field(default_factory=dict)  #: scale of those driven, by kind
+    least_radius_m: float = 0.0  #: of a turn
+    speeds_mps: tuple[float, float] = (0.3, 0.7)  #: slow and fast
+
+    @property
+    def usual_mps(self) -> float:
+        """A speed between slow and fast."""
+        return float(f"{0.5 * sum(self.speeds_mps):.2g}")
+
+    def of(self, kind: str, segments: Sequence[Segment]) -> Route:
+        """Return the route of a kind in its size."""
+        length_m, turn_rad = np.array(segments).T
+        bends = turn_rad != 0.0
+        least = self.least_radius_m / float(np.abs(length_m[bends] / turn_rad[bends]).min(initial=np.inf))
+        return Route(kind, self.driven.get(kind, max(self.scale, least)) * length_m, turn_rad)
+
+
+def dimensions_of(driven: Campaign) -> Dimensions:
+    """Return what the vehicle of a campaign can drive where it was driven.
+
+    Corridors as long as those driven, else no longer than any run led; routes that were driven in their size, others
+    in proportion to the track or, up to the usual size, to how far any run led; no faster than it was driven.
+    """
+    path = predict(observations_of(driven, into_windows=False))
+    kinds, logged = path.s.labels["kind"], path.s.from_log
+    led_m = np.array([np.hypot(*trace[:, :2].T).max() for trace in path.traces()])
+    most_m, ratio = float(led_m[logged].max(initial=0.0)), driven.model.track_m / USUAL_TRACK_M
+    scale = max(1.0 if 0.5 <= ratio <= 2.0 else ratio, min(1.0, most_m / USUAL_REACH_M))
+    known = np.unique(kinds[logged & (led_m > 0.0) & np.isin(kinds, KINDS)]).tolist()
+    speeds = driven_speed_mps(path.s)
+    # slower ones turn on the spot
+    speeds = speeds[speeds > 0.25 * np.nanmax(speeds, initial=0.0)]
+    slow, fast = np.quantile(speeds, (0.1, 0.9)).tolist() if len(speeds) else (0.3 * scale, 0.7 * scale)
+    return Dimensions(
+        _driven_corridor_m(driven) or min(DEFAULT_CORRIDOR_M, max(most_m, DEFAULT_CORRIDOR_M * scale)),
+        scale,
+        {kind: float(np.median(led_m[logged & (kinds == kind)])) / _led_m(route_of(kind)) for kind in known},
+        LEAST_RADIUS * driven.vehicle.wheelbase_m * (odometry_source(driven) == "shaft"),
+        (float(f"{min(slow, SLOWER * fast):.2g}"), float(f"{fast:.2g}")),
+    )
+
+
+def _led_m(route: Route) -> float:
+    poses = route.divided(ROUTE_SPACING_M).poses()
+    return float(np.hypot(poses.x_m, poses.y_m).max())
+
+
+def _driven_corridor_m(campaign: Campaign) -> float | None:
+    distance, kind = np.abs(campaign.runs.number("distance_m")), campaign.runs.label("kind")
+    named = [kind == "corridor", np.char.startswith(kind, "corridor"), kind != ""]
+    lengths = (distance[each & np.isfinite(distance)] for each in named)
+    length = next((float(np.median(each)) for each in lengths if len(each)), 0.0)
+    low, high = CORRIDOR_RANGE_M
+    return length if low <= length <= high else None
+
+
+def route_of(kind: str, dimensions: Dimensions | None = None) -> Route:
+    """Return the route of a kind, of usual dimensions by default.
+
+    `kind`: ``corridor`` (and its lanes ``corridor_b`` ...), ``corridor_short``, ``square_cw``, ``square_ccw``,
+    ``figure8``, ``route_left``, ``route_right``, ``circle_left``, ``circle_right``, or a named route of ``calib
+    simulate``.
+
+    Raises
+    ------
+    BadInputError
+        Where there is no such route.
+    """
+    dimensions = dimensions or Dimensions()
+    if kind == "corridor" or kind.startswith("corridor_"):
+        length_m = dimensions.corridor_m * (SHORT_CORRIDOR if kind == "corridor_short" else 1.0)
+        return Route.from_segments(kind, straight(length_m))
+    if kind not in KINDS:
+        known = ["corridor", "corridor_short", *KINDS]
+        raise BadInputError(f"route: found {kind!r}; expected one of {', '.join(known)}; name one of these")
+    left = kind.replace("_right", "_left")
+    route = dimensions.of(kind, LEFT_ROUTES.get(left) or NAMED[kind])
+    return route.mirrored() if kind != left else route
+
+
+def size_of(route: Route) -> str:
+    """Return a route's straights and radii of bends in words."""
+    pieces = list(zip(np.abs(route.length_m).tolist(), np.abs(route.turn_rad).tolist(), strict=True))
+    straights = ", ".join(dict.fromkeys(f"{length:.3g}" for length, turn in pieces if not turn))
+    radii = ", ".join(dict.fromkeys(f"{length / turn:.3g}" for length, turn in pieces if turn))
+    return f"{straights} m" * bool(straights) + " and " * bool(straights and radii) + f"radius {radii} m" * bool(radii)
