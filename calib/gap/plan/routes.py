@@ -27,9 +27,8 @@ KINDS: Final = (*LEFT_ROUTES, *(name.replace("_left", "_right") for name in LEFT
 ROUTE_SPACING_M: Final = 0.05
 #: recorded distances of corridors
 CORRIDOR_RANGE_M: Final = (0.1, 500.0)
-#: track of the vehicles that routes are made for, from half to twice as much, and how far they lead
+#: track of the vehicles that routes are made for, from half to twice as much
 USUAL_TRACK_M: Final = 0.7
-USUAL_REACH_M: Final = 8.0
 #: least radius of a car's turn over its wheelbase: at a steering angle of 34 degrees
 LEAST_RADIUS: Final = 1.5
 #: slow over fast at most: else one speed was driven
@@ -41,7 +40,8 @@ class Dimensions:
     """How long and how fast planned runs are; by default those of a transport vehicle in a hall."""
 
     corridor_m: float = DEFAULT_CORRIDOR_M
-    scale: float = 1.0  #: of routes that were not driven
+    scale: float = 1.0  #: of routes that were not driven, at least
+    reach_m: float = np.inf  #: to which they lead up to their usual size
     driven: Mapping[str, float] = field(default_factory=dict)  #: scale of those driven, by kind
     least_radius_m: float = 0.0  #: of a turn
     speeds_mps: tuple[float, float] = (0.3, 0.7)  #: slow and fast
@@ -53,10 +53,12 @@ class Dimensions:
 
     def of(self, kind: str, segments: Sequence[Segment]) -> Route:
         """Return the route of a kind in its size."""
-        length_m, turn_rad = np.array(segments).T
-        bends = turn_rad != 0.0
-        least = self.least_radius_m / float(np.abs(length_m[bends] / turn_rad[bends]).min(initial=np.inf))
-        return Route(kind, self.driven.get(kind, max(self.scale, least)) * length_m, turn_rad)
+        usual = Route.from_segments(kind, *segments)
+        bends = usual.turn_rad != 0.0
+        radii_m = np.abs(usual.length_m[bends] / usual.turn_rad[bends])
+        led = min(1.0, self.reach_m / _led_m(usual))
+        scale = self.driven.get(kind, max(self.scale, led, self.least_radius_m / float(radii_m.min(initial=np.inf))))
+        return Route(kind, scale * usual.length_m, usual.turn_rad)
 
 
 def dimensions_of(driven: Campaign) -> Dimensions:
@@ -69,7 +71,7 @@ def dimensions_of(driven: Campaign) -> Dimensions:
     kinds, logged = path.s.labels["kind"], path.s.from_log
     led_m = np.array([np.hypot(*trace[:, :2].T).max() for trace in path.traces()])
     most_m, ratio = float(led_m[logged].max(initial=0.0)), driven.model.track_m / USUAL_TRACK_M
-    scale = max(1.0 if 0.5 <= ratio <= 2.0 else ratio, min(1.0, most_m / USUAL_REACH_M))
+    scale = 1.0 if 0.5 <= ratio <= 2.0 else ratio
     known = np.unique(kinds[logged & (led_m > 0.0) & np.isin(kinds, KINDS)]).tolist()
     speeds = driven_speed_mps(path.s)
     # slower ones turn on the spot
@@ -78,6 +80,7 @@ def dimensions_of(driven: Campaign) -> Dimensions:
     return Dimensions(
         _driven_corridor_m(driven) or min(DEFAULT_CORRIDOR_M, max(most_m, DEFAULT_CORRIDOR_M * scale)),
         scale,
+        most_m,
         {kind: float(np.median(led_m[logged & (kinds == kind)])) / _led_m(route_of(kind)) for kind in known},
         LEAST_RADIUS * driven.vehicle.wheelbase_m * (odometry_source(driven) == "shaft"),
         (float(f"{min(slow, SLOWER * fast):.2g}"), float(f"{fast:.2g}")),
