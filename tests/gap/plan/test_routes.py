@@ -1,0 +1,50 @@
+"""Planned runs fit the vehicle and the place: sizes and speeds of what was driven."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.gap.plan.planned_runs import Measured, PlannedRun, default_candidates, drive
+from calib.gap.plan.routes import KINDS, Dimensions, dimensions_of, route_of
+from tests.gap.plan.test_next_runs import base, called
+
+
+def small(driven: Campaign, size: float) -> Campaign:
+    """The same drives by a vehicle of another size: all lengths and speeds in proportion."""
+    runs, logs, lengths = driven.runs, driven.logs, ("radius_left_m", "radius_right_m", "track_m")
+    numbers = {
+        name: size * column if name in {"distance_m", "ref_x_m", "ref_y_m", "speed_mps"} else column
+        for name, column in runs.numbers.items()
+    }
+    model = replace(driven.model, **{name: size * getattr(driven.model, name) for name in lengths})
+    columns = {name: size * c if name in {"ref_x_m", "ref_y_m"} else c for name, c in logs.columns.items()}
+    return replace(driven, model=model, runs=replace(runs, numbers=numbers), logs=replace(logs, columns=columns))
+
+
+def test_planned_runs_are_as_long_and_as_fast_as_the_vehicle_was_driven() -> None:
+    """Routes driven in their size and speed; a vehicle a tenth as large gets all in proportion, so that it has room."""
+    nominal = base()
+    kinds = [PlannedRun(kind, "out", speed_mps=v) for v in (0.2, 0.4) for kind in ("square_cw", "corridor")]
+    driven = called(drive(nominal, kinds * 2, Measured(), Dimensions(15.0, scale=0.5, reach_m=0.0)))
+    whole, tenth = dimensions_of(driven), dimensions_of(small(driven, 0.1))
+    # the ramps slow the mean speed by less than a tenth
+    assert whole.corridor_m == pytest.approx(15.0) and whole.speeds_mps == pytest.approx((0.2, 0.4), rel=0.1)
+    assert whole.scale == 1.0 and whole.driven == {"square_cw": pytest.approx(0.5, rel=1e-2)}
+    assert tenth.corridor_m == pytest.approx(1.5) and tenth.speeds_mps == pytest.approx((0.02, 0.04), rel=0.1)
+    assert tenth.driven["square_cw"] == pytest.approx(0.05, rel=1e-2)
+    # what was not driven leads no further than a run did
+    reach = np.hypot(*route_of("route_left", tenth).divided(0.01).poses().stacked()[:, :2].T).max()
+    assert reach == pytest.approx(1.5, rel=1e-2)
+    offered = default_candidates(driven, whole)
+    assert max(run.speed_mps for run in offered) == whole.speeds_mps[1]
+
+
+def test_a_car_is_asked_for_no_tighter_turn_than_it_steers() -> None:
+    """A steering angle of 34 degrees turns about 1.5 wheelbases."""
+    car = Dimensions(least_radius_m=1.5 * 2.7)
+    for kind in KINDS:
+        route = route_of(kind, car)
+        bends = route.turn_rad != 0.0
+        assert (np.abs(route.length_m[bends] / route.turn_rad[bends]) >= 1.5 * 2.7 - 1e-9).all()
