@@ -19,11 +19,12 @@ from calib.odometry import routes
 from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, RandomWalk
 from calib.odometry.routes import Axle, Loading, Route, end_of_route, radii_under_load, wheel_travel
 from calib.radius.law import RadiusLaw, half_width
-from calib.types import FloatArray, rows_of
+from calib.types import FloatArray, IntArray, rows_of
 from calib.vehicle import Vehicle
 
 BANDS: Final = ("mean", "prediction")
 NORMAL_95: Final = 1.959963984540054  #: quantile of the normal distribution, 97.5 %
+STATED_DOF: Final = 1e9  #: of what was not estimated
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -324,7 +325,7 @@ def law_journey(
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
     wheels = (law.left, law.right)
     mean, reference = ([float(w.radius_m(n)) for w, n in zip(wheels, at, strict=True)] for at in (loads_N, reference_N))
-    root, scale, dof, off = _scatter(law, loads_N, single=band == "prediction", draws=draws, rng=rng)
+    root, of_scale, scale, dof, off = _scatter(law, loads_N, single=band == "prediction", draws=draws, rng=rng)
     # few degrees of freedom draw lengths that no wheel has, beyond the quantiles reported
     drawn_m = np.clip(np.array([*mean, track_m])[:, None] + off, routes.SHORTEST_M, routes.LONGEST_M)
     scattered = Axle(*drawn_m)
@@ -334,16 +335,15 @@ def law_journey(
         axle, real = Axle(believed[0], believed[1], track_m), Axle(mean[0], mean[1], track_m)
         errors = posing.pose_errors(end_of_route(route, axle, scattered), end)
         centre = posing.pose_errors(end_of_route(route, axle, real), end)
-        # shape (5, 2), of each wheel; (5, 1) of what was fitted together
         slopes = _end_jacobian(route, axle, real, float(end.theta_rad)) @ root
-        if law.joint is not None:
-            slopes = np.linalg.norm(slopes, axis=1, keepdims=True)
+        # shape (5, n), of each scale
+        slopes = np.stack([np.linalg.norm(slopes[:, of_scale == n], axis=1) for n in range(len(dof))], axis=1)
         distance[name] = errors.distance_m
         # squared distance expected at the fit's scatter, and at each draw's
         by_wheel = (slopes[3:] ** 2).sum(axis=0)
         square[name] = float(centre.distance_m[0]) ** 2 + by_wheel @ np.column_stack([np.ones(len(dof)), scale]) ** 2
         intervals[name] = {}
-        for component, scales in zip(COMPONENTS, np.abs(slopes), strict=True):
+        for component, scales in zip(COMPONENTS, slopes, strict=True):
             value, drawn = float(getattr(centre, component)[0]), getattr(errors, component)
             intervals[name][component] = Interval.of(value, half_width(scales, dof), drawn)
     ratios = np.sqrt(square["without"] / square["corrected"])
@@ -371,21 +371,26 @@ def law_journey(
 
 def _scatter(
     law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray, list[float], FloatArray]:
-    """Return a root (3, k) of the covariance of radii and track, drawn scales (1 or 2, draws), dof, errors."""
+) -> tuple[FloatArray, IntArray, FloatArray, list[float], FloatArray]:
+    """Return a root (3, k) of the covariance of radii and track, the scale of each column, drawn scales, dof, errors.
+
+    A wheel has a scale of its own, what was fitted together has one, and a stated track is as certain as stated.
+    """
     dof = [
         float(w.dof_of(w.contrast(load), single_run=single))
         for w, load in zip((law.left, law.right), loads_N, strict=True)
     ]
     spread = law.covariance_at(loads_N, single_run=single)
-    root = np.diag(np.sqrt(np.diag(spread)))[:, :2]
+    root, of_scale = np.diag(np.sqrt(np.diag(spread))), np.arange(2)
     if law.joint is not None:
-        # one fit, one scale of its covariance
-        dof, (sizes, axes) = [min(dof)], np.linalg.eigh(spread)
-        root = axes * np.sqrt(np.maximum(sizes, 0.0))
+        n = 3 if spread[2, :2].any() else 2
+        sizes, axes = np.linalg.eigh(spread[:n, :n])
+        root[:n, :n] = axes * np.sqrt(np.maximum(sizes, 0.0))
+        dof, of_scale = [min(dof), STATED_DOF][: 4 - n], np.arange(3) // n
+    root = root[:, : len(of_scale)]
     scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
-    off = root @ (scale * rng.standard_normal((root.shape[1], draws)))
-    return root, scale, dof, off
+    off = root @ (scale[of_scale] * rng.standard_normal((root.shape[1], draws)))
+    return root, of_scale, scale, dof, off
 
 
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:

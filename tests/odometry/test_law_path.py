@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -125,6 +126,23 @@ def test_under_one_load_the_path_ends_in_the_scatter_of_the_journey() -> None:
     assert path.corrected.rms_m[-1] == pytest.approx(journey.corrected_rms_m, rel=1e-9)
     assert path.without.rms_m[-1] == pytest.approx(journey.without_rms_m, rel=1e-9)
     assert (np.diff(ellipses(path.corrected.systematic).major_m) > 0).all()
+
+
+def test_a_stated_track_is_as_certain_as_stated_however_few_runs_gave_the_radii() -> None:
+    """A sum of a Student variate of five degrees of freedom and a normal one: its quantile by a Monte Carlo apart."""
+    joint, std_m, n = np.zeros((5, 5)), 1e-3, 400_000
+    joint[:2, :2] = joint[2:4, 2:4] = COVARIANCE
+    joint[4, 4] = std_m**2
+    law = RadiusLaw(*(replace(each, dof=5.0) for each in (LAW.left, LAW.right)), joint=joint)
+    route, known, rng = Route.from_segments("bend", arc(3.0, 1.5)), LAW.left.radius_m(300.0), np.random.default_rng(3)
+    at = {"loads_N": (300.0, 300.0), "reference_N": (300.0, 300.0), "track_m": TRACK_M}
+    found = law_journey(law, route, **at, band="mean", draws=1000, rng=rng).corrected["heading_rad"]
+    # a turn of a / b: relative errors of the radii and of the track add up
+    left_m, right_m = 1.5 * (3.0 - 0.5 * TRACK_M), 1.5 * (3.0 + 0.5 * TRACK_M)
+    by_radius = np.hypot(left_m / known, right_m / LAW.right.radius_m(300.0)) / TRACK_M * np.sqrt(COVARIANCE[0, 0])
+    off = by_radius * rng.standard_t(5.0, n) + 1.5 / TRACK_M * std_m * rng.standard_normal(n)
+    # 2.5 % of 400,000 draws beyond: the quantile to half a percent
+    assert np.ptp(found.linear) == pytest.approx(2 * np.quantile(np.abs(off), 0.95), rel=0.01)
 
 
 def test_the_random_part_is_that_of_the_walk_on_a_straight() -> None:
