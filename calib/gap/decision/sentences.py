@@ -34,8 +34,8 @@ LARGE_GAP: Final = 1.0
 def sentence(diagnosis: Diagnosis) -> str:
     """Return the verdict in words, after a noise level far above the stated sigmas.
 
-    The channels above the noise level lead, with what they are judged against; then the cause, or that it cannot be
-    identified, effects it is confounded with, and whether a recalibration alone closes or hides the gap.
+    The cause, or that it cannot be identified, leads, with effects it is confounded with and whether a recalibration
+    alone closes or hides the gap; then the channels above the noise level, with what they are judged against.
     """
     return f"{diagnosis.noise_level.finding} {_verdict(diagnosis)}".lstrip()
 
@@ -62,20 +62,22 @@ def _verdict(diagnosis: Diagnosis) -> str:
         return f"{alike}{_but_single_runs(diagnosis)}."
     if kind is VerdictKind.UNDECIDED:
         return f"These runs cannot show whether there is a gap: {_unsupported(diagnosis)}."
-    gap = diagnosis.gap_probability
+    gap, before = diagnosis.gap_probability, ""
     if gap is not None and gap < EVEN_PROBABILITY:
-        lead += f"The probability of a gap is {gap:.2f} only; if there is one: "
+        before = f"The probability of a gap is {gap:.2f} only; if there is one"
     if kind is VerdictKind.UNKNOWN:
-        cause = f"There is a gap, but no effect of the library explains it{_located(diagnosis.where)}."
+        cause = f"{before or 'There is a gap, but'} no effect of the library explains it{_located(diagnosis.where)}."
         open_noise = "" if diagnosis.noise_level.supported else f" {_capital(_unexplained(diagnosis))}."
-        return f"{lead}{cause}{_nearest(diagnosis)}{open_noise or ' Add columns of suspected quantities to runs.csv.'}"
+        return f"{cause}{lead}{_nearest(diagnosis)}{open_noise or ' Add columns of suspected quantities to runs.csv.'}"
     if kind is VerdictKind.PARTLY_EXPLAINED:
         causes = f"{_listed(diagnosis.causes)}{_alternatives(diagnosis)}"
-        return f"{lead}The gap is partly explained by {causes}; {_unexplained(diagnosis)}.{_implausible(diagnosis)}"
-    doubt = ", of a doubtful size" if _implausible(diagnosis) else ""
-    explained = f"The gap is explained by {_listed(diagnosis.causes)}{doubt}"
-    words = _ambiguous(diagnosis) if kind is VerdictKind.AMBIGUOUS else explained
-    return f"{lead}{words}.{_recalibration(diagnosis)}{_implausible(diagnosis)}"
+        words = f"The gap is partly explained by {causes}; {_unexplained(diagnosis)}.{_implausible(diagnosis)}"
+    else:
+        doubt = ", of a doubtful size" if _implausible(diagnosis) else ""
+        explained = f"The gap is explained by {_listed(diagnosis.causes)}{doubt}"
+        words = _ambiguous(diagnosis) if kind is VerdictKind.AMBIGUOUS else explained
+        words = f"{words}.{_recalibration(diagnosis)}{_implausible(diagnosis)}"
+    return f"{before}: t{words[1:]}{lead}" if before else words + lead
 
 
 def _unsupported(diagnosis: Diagnosis) -> str:
@@ -261,7 +263,7 @@ def _channels(diagnosis: Diagnosis) -> str:
     lines = closure.moved or sorted(closure.channels, key=moved)[-1:]
     parts = [_channel(line, both=named) for line in lines[:MOST_CHANNELS]]
     where = "" if not named else ", which ran again with the fix" if closure.held_out == RERUN else ", on held-out runs"
-    return f"Against {diagnosis.against}{where}: {'; '.join(parts)}. " if parts else ""
+    return f" Against {diagnosis.against}{where}: {'; '.join(parts)}." if parts else ""
 
 
 def _channel(line: ChannelClosure, *, both: bool) -> str:

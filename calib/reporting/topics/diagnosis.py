@@ -32,7 +32,7 @@ GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.l
 TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
     VerdictKind.NO_GAP: ("good", "No gap beyond the noise"),
     VerdictKind.EXPLAINED: ("good", "The gap is explained"),
-    VerdictKind.PARTLY_EXPLAINED: ("note", "The gap is explained in part"),
+    VerdictKind.PARTLY_EXPLAINED: ("note", "The gap is partly explained"),
     VerdictKind.AMBIGUOUS: ("note", "These runs cannot tell the causes apart"),
     VerdictKind.UNKNOWN: ("bad", "The cause of the gap is unknown"),
     VerdictKind.UNDECIDED: ("note", "These runs cannot show whether there is a gap"),
@@ -43,7 +43,7 @@ def verdict_notice(verdict: Diagnosis) -> Notice:
     """Return the verdict with its sentence."""
     level, title = TITLES[verdict.kind]
     # a title says its sentence's beginning already
-    text = prose(verdict.sentence.removeprefix(f"{title}: "))
+    text = prose(verdict.sentence.removeprefix(title).lstrip(": "))
     return Notice(level, with_kind(title, verdict.kind), text[:1].upper() + text[1:])
 
 
