@@ -3,8 +3,6 @@
 The checksum is SHA-256 over a canonical form that survives re-indenting and re-ordering.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
@@ -70,7 +68,7 @@ def spreadsheet_cell(value: Any) -> Any:
     return value
 
 
-def templates_of(package: str, *, markup: bool = False) -> Environment:
+def templates_of(package: str, *, markup: bool = False) -> "Environment":
     """Return the templates in a package's folder, in which a line that begins with ``%`` is a statement.
 
     `markup`: every text that they take is escaped; elsewhere the last line keeps its end.
@@ -123,7 +121,7 @@ class Result:
         """Return what the command prints, as lines of text."""
         return str(_presentation().summary(self))
 
-    def plot(self, kind: str | None = None) -> Figure:
+    def plot(self, kind: str | None = None) -> "Figure":
         """Draw the result.
 
         Parameters

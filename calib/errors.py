@@ -4,8 +4,6 @@ A message says in one line where, what was found, what was expected and what to 
 time or memory are spent.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import stat
@@ -51,7 +49,7 @@ class BadFileError(BadInputError):
         self.path, self.row, self.column = str(path), row, column
         self.found, self.expected, self.remedy = found, expected, remedy
 
-    def below(self, folder: Path) -> BadFileError:
+    def below(self, folder: Path) -> "BadFileError":
         """Return the same error with the file named by its folder, too."""
         path, of = folder / self.path, {"row": self.row, "column": self.column}
         return BadFileError(path, self.found, self.expected, self.remedy, **of)  # type: ignore[arg-type]

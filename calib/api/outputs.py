@@ -1,7 +1,5 @@
 """What comes after a result: what to drive next, what a law does, and where it goes; `plan`, `simulate` to `export`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
@@ -83,7 +81,7 @@ def _as_found(campaign: Campaign, found: Geometry) -> Campaign:
     return replace(campaign, model=replace(campaign.model, **known))
 
 
-def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise | None:
+def promised(campaign: Campaign, scales: FloatArray | None = None) -> "Promise | None":
     """Return the intervals that the end poses of planned runs promise; None where they determine nothing."""
     from calib.kinematics import assemble
 

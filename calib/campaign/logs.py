@@ -1,7 +1,5 @@
 """Logs: which is whose, how one is read, and all end to end with their counters' overflow undone."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Collection, Mapping, Sequence
@@ -37,7 +35,7 @@ _GROWTH_SHARE: Final = 0.125
 LATE_START_S: Final = 1.0
 
 
-def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> list[LogFile]:
+def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list[LogFile]":
     """Return the logs that there are, in the order of the runs.
 
     `folder`: the campaign's; `runs`: names the logs, else they are ``logs/<run_id>.csv`` or of another format; `shown`:

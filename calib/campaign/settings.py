@@ -1,7 +1,5 @@
 """What `campaign.toml` says: instruments, odometry, the simulator's model; and the columns of the run table."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable
@@ -72,7 +70,7 @@ class FrontModel:
     side_slip_s2_per_m: float = 0.0
 
     @staticmethod
-    def of(vehicle: Vehicle) -> FrontModel:
+    def of(vehicle: Vehicle) -> "FrontModel":
         """Return the nominal counted wheel and wheelbase of a vehicle."""
         radius_m = vehicle.wheel_radius_m if vehicle.drive == "ackermann" else vehicle.front_radius_m
         return FrontModel(radius_m, vehicle.wheelbase_m)

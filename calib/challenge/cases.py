@@ -4,8 +4,6 @@ No rule gets a larger share of cases right than the mean of the largest posterio
 whitened signatures: the ceiling.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -68,7 +66,7 @@ class Truth:
     own_ceiling: tuple[float, float] | None = None
 
     @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> Truth:
+    def from_dict(data: Mapping[str, Any]) -> "Truth":
         """Return what `calib.documents.plain` made of it, null for NaN and infinity."""
         from pydantic import TypeAdapter
 

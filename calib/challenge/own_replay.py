@@ -1,7 +1,5 @@
 """A campaign driven again, with a planted effect and its own noise redrawn."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
@@ -226,7 +224,7 @@ class Replay:
     route: Route
 
     @staticmethod
-    def of(observations: Observations) -> Replay:
+    def of(observations: Observations) -> "Replay":
         """Return the replay of a campaign."""
         return Replay(observations, _design(observations), route_of(observations))
 

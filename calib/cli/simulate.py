@@ -1,7 +1,5 @@
 """``calib simulate``: routes, journeys under a law, studies, replays; ``calib challenge``: a blind check."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,7 +44,7 @@ class Targets:
 
 
 def finish(
-    simulation: Simulation, targets: Targets, *, seed: int, notes: Sequence[str] = (), law: Path | None = None
+    simulation: "Simulation", targets: Targets, *, seed: int, notes: Sequence[str] = (), law: Path | None = None
 ) -> None:
     """Write what was asked for, and show the simulation; see `simulate`; `law`: where the vehicle's law came from."""
     from calib.reporting.topics.simulation import simulation_content, simulation_trajectories, write_simulation
@@ -61,7 +59,7 @@ def finish(
 
 
 def _tell(
-    document: dict[str, object], content: Iterable[Block | Section], notes: list[str], written: list[Path]
+    document: dict[str, object], content: "Iterable[Block | Section]", notes: list[str], written: list[Path]
 ) -> None:
     from calib.reporting.blocks import items
     from calib.reporting.formatting import prose

@@ -1,7 +1,5 @@
 """Options that commands share, and blocks on the terminal: as wide as it is, coloured only where it is one."""
 
-from __future__ import annotations
-
 import difflib
 import math
 import os
@@ -117,7 +115,7 @@ def emit_text(text: str) -> None:
     _put(sys.stdout, text)
 
 
-def show(blocks: Iterable[Block | Section]) -> None:
+def show(blocks: "Iterable[Block | Section]") -> None:
     """Print blocks for people; to standard error where standard output belongs to JSON."""
     from calib.reporting.formatting import text_lines
 
@@ -136,7 +134,7 @@ def show(blocks: Iterable[Block | Section]) -> None:
         _write(stream, line.text.rstrip())
 
 
-def answer(document: Any, blocks: Iterable[Block | Section]) -> None:
+def answer(document: Any, blocks: "Iterable[Block | Section]") -> None:
     """Write a result as JSON where that was asked for, and print it for people unless standard output is the JSON's."""
     emit_json(document)
     if not wants_stdout():
@@ -190,7 +188,7 @@ def figure_files(folder: Path | None, names: Iterable[str]) -> list[Path]:
     return figure_paths(folder, names)
 
 
-def draw(figures: Callable[[], Mapping[str, Figure]], folder: Path) -> list[Path]:
+def draw(figures: "Callable[[], Mapping[str, Figure]]", folder: Path) -> list[Path]:
     """Draw figures and write them into a folder; return their files."""
     from calib.reporting.figures.style import write_figures
 

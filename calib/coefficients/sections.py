@@ -3,8 +3,6 @@
 A number is ``{"value": 0.7, "unit": "m"}``.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar, get_args
 
@@ -230,7 +228,7 @@ class StrataSection(Section):
     session_f: Number | None = None
 
     @staticmethod
-    def of_estimate(estimate: LineEstimate) -> StrataSection:
+    def of_estimate(estimate: LineEstimate) -> "StrataSection":
         """Return the parts of an estimate."""
 
         def stratum(covariance: FloatArray, dof: float, variance: float) -> StratumSection:
@@ -272,7 +270,7 @@ def variances(covariance: FloatArray) -> dict[str, float]:
     return dict(zip(names, covariance[np.triu_indices(2)], strict=True))
 
 
-def _matrix(of: StratumSection | WheelSection) -> FloatArray:
+def _matrix(of: "StratumSection | WheelSection") -> FloatArray:
     cross = of.covariance_radius_ref_slope.value
     return np.array([[of.variance_radius_ref.value, cross], [cross, of.variance_slope.value]])
 

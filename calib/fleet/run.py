@@ -1,7 +1,5 @@
 """A fleet's fit: files of runs to sums by session, from these each vehicle's record, and what the fleet shows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -95,7 +93,7 @@ class Fleet:
     """A fleet's vehicles and view."""
 
     records: tuple[VehicleRecord, ...]
-    view: FleetView
+    view: "FleetView"
     n_read: int
     n_kept: int
     simulated: bool = False

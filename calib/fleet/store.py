@@ -1,7 +1,5 @@
 """The vehicles of a folder with their files, and what was read of these, kept line by line."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -171,7 +169,7 @@ class Kept:
     line: str
 
     @staticmethod
-    def of(record: Any) -> Kept:
+    def of(record: Any) -> "Kept":
         """Return the line of a dataclass that has a `name` and a `key`."""
         values = plain(record)
         line = json.dumps({**values, SEAL: _seal(values)}, ensure_ascii=False) + "\n"

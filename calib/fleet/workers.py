@@ -1,7 +1,5 @@
 """What runs the tasks of a fleet: this process, processes of this machine, or the workers of a Dask scheduler."""
 
-from __future__ import annotations
-
 import asyncio
 import importlib
 import logging
@@ -42,7 +40,7 @@ _ADDRESS: Final = re.compile(r"(tcp|tls)://([^\s/:]+|\[[0-9a-fA-F:]+\]):\d{1,5}"
 
 
 @contextmanager
-def engine(workers: int = 1, scheduler: str = "") -> Iterator[Engine]:
+def engine(workers: int = 1, scheduler: str = "") -> "Iterator[Engine]":
     """Open an engine: this process, `workers` of this machine, or those of a Dask scheduler (``tcp://host:port``).
 
     Raises RefusedError where the scheduler does not answer.

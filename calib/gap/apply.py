@@ -1,7 +1,5 @@
 """A diagnosed effect added to the model, as a coefficient file."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import astuple
 from typing import TYPE_CHECKING
@@ -24,7 +22,7 @@ if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Cause, Diagnosis
 
 
-def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[EffectSection] = ()) -> CoefficientFile:
+def applied_model(diagnosis: "Diagnosis", campaign: Campaign, given: Sequence[EffectSection] = ()) -> CoefficientFile:
     """Return the campaign's model with the named causes added, as a coefficient file; refused where none is named.
 
     The fitted recalibration goes into radii and track, a load effect into the slopes of the law; others are written by
@@ -91,7 +89,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
 
 
 def _slopes_and_sections(
-    fitted: Fitted, causes: Sequence[Cause]
+    fitted: Fitted, causes: "Sequence[Cause]"
 ) -> tuple[dict[str, tuple[float, int]], list[EffectSection]]:
     """Return slope and its row of the covariance, by side, that the causes add; the other causes written down."""
     named = {cause.effect for cause in causes}

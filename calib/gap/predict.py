@@ -3,8 +3,6 @@
 Campaigns of many samples are worked through in parts: what is kept is per observation, not per step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -50,7 +48,7 @@ class Path:
         pieces = zip(pairwise(self.s.starts.tolist()), self.end, strict=True)
         return [np.vstack((np.zeros(3), places[first:last], end)) for (first, last), end in pieces]
 
-    def parts(self) -> Iterator[tuple[slice, Path]]:
+    def parts(self) -> "Iterator[tuple[slice, Path]]":
         """Yield observations some at a time, each time with the path of these alone; itself where steps are few."""
         for units, part in self._integrated():
             if part is not self:
@@ -58,7 +56,7 @@ class Path:
                 vars(part)["calibration"] = self.calibration[units]
             yield units, part
 
-    def _integrated(self) -> Iterator[tuple[slice, Path]]:
+    def _integrated(self) -> "Iterator[tuple[slice, Path]]":
         if self.kept is not None:
             yield slice(0, len(self.s)), self
             return
@@ -86,7 +84,7 @@ class Path:
 
         return self.of_parts(radii)
 
-    def of_parts(self, what: Callable[[Path], FloatArray]) -> FloatArray:
+    def of_parts(self, what: "Callable[[Path], FloatArray]") -> FloatArray:
         """Return a quantity of each observation (n_obs, ...) that is worked out from steps, part by part."""
         return np.concatenate([what(part) for _, part in self._integrated()])
 

@@ -5,8 +5,6 @@ every corner by alpha too much, unequal wheels bend every side by beta. Clockwis
 subtract, so that the mean end position errors of both senses give them apart.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -195,7 +193,7 @@ class Promise:
     scales: FloatArray  #: variances of the noise's components, shape (4,)
 
     @classmethod
-    def of(cls, geometry: Geometry) -> Promise:
+    def of(cls, geometry: Geometry) -> "Promise":
         """Return what a geometry's runs gave; noise that they do not show is assumed."""
         scales = np.square([geometry.noise[name] for name in COMPONENTS])
         if any(LENGTHS_ALONE in why for why in geometry.why):

@@ -1,7 +1,5 @@
 """Estimation of a campaign's geometry: choice of segments, blunders, delays and sensor, and held-out runs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -94,7 +92,7 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
     return by_windows
 
 
-def _estimated(task: _Task, recording: Recording, *, asked: bool) -> Geometry:
+def _estimated(task: "_Task", recording: Recording, *, asked: bool) -> Geometry:
     try:
         fit = _fitted(task, recording)
     except np.linalg.LinAlgError as error:

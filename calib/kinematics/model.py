@@ -1,7 +1,5 @@
 """Stretches of runs that are compared, and the sensor's predicted motion in each."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Final
 
@@ -62,7 +60,7 @@ class Segments:
         """Whether chords are the directions at all starts."""
         return self.around is not None and bool((np.diff(self.around) > 0).all())
 
-    def select(self, keep: BoolArray) -> Segments:
+    def select(self, keep: BoolArray) -> "Segments":
         """Return the stretches that `keep` picks."""
         parts = (getattr(self, column.name)[keep] for column in fields(self)[:-1])
         return replace(Segments(*parts), around=None if self.around is None else self.around[keep])

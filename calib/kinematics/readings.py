@@ -1,7 +1,5 @@
 """Readings of a recording: blunder hypotheses, each of which changes it back."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -60,7 +58,7 @@ class Reading:
     #: the same with the column in question zero: a reading that is no better takes the column's words away, no more
     zeroed: Change | None = None
     #: the same for a factor of which a fit tells the rest: of the radii, or of the steering angle
-    refined: Callable[[tuple[float, float]], Reading] | None = None
+    refined: "Callable[[tuple[float, float]], Reading] | None" = None
     setting: Callable[[Campaign], Campaign] | None = None
 
 

@@ -1,7 +1,5 @@
 """Robust Gauss-Newton with noise that grows along the path."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -247,7 +245,7 @@ class _Linear:
     pull: FloatArray  #: towards nominal values, shape (n_rows, n_free)
     off: FloatArray  #: shape (n_rows,)
 
-    def part(self, some: slice) -> _Linear:
+    def part(self, some: slice) -> "_Linear":
         jacobian = np.ascontiguousarray(self.jacobian[:, some])
         residuals = self.residuals[:, some].copy()
         return replace(self, residuals=residuals, jacobian=jacobian, seen=self.seen[some], size=self.size[some])

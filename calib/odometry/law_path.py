@@ -3,8 +3,6 @@
 Its uncertainty is carried to each point by linear propagation, to the end pose of one load by Monte Carlo too.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
@@ -268,7 +266,7 @@ class Interval:
     monte_carlo: tuple[float, float]  #: 2.5 and 97.5 % quantiles of the draws
 
     @staticmethod
-    def of(value: float, half_width: float, drawn: FloatArray) -> Interval:
+    def of(value: float, half_width: float, drawn: FloatArray) -> "Interval":
         """Return the intervals of a value by its half width and by draws (n,)."""
         low, high = np.quantile(drawn, [0.025, 0.975])
         return Interval(value, (value - half_width, value + half_width), (float(low), float(high)))

@@ -1,7 +1,5 @@
 """Poses, their errors along and across a reference, and trajectories in time."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +36,7 @@ class Poses:
         """Shape of each array."""
         return self.x_m.shape
 
-    def __getitem__(self, index: Any) -> Poses:
+    def __getitem__(self, index: Any) -> "Poses":
         return Poses(np.asarray(self.x_m[index]), np.asarray(self.y_m[index]), np.asarray(self.theta_rad[index]))
 
     def stacked(self) -> FloatArray:
@@ -46,12 +44,12 @@ class Poses:
         return np.stack([self.x_m, self.y_m, self.theta_rad], axis=-1)
 
     @staticmethod
-    def from_stacked(stacked: ArrayLike) -> Poses:
+    def from_stacked(stacked: ArrayLike) -> "Poses":
         """Return the poses of an array whose last axis holds x, y, theta."""
         values = floats(stacked)
         return Poses(values[..., 0], values[..., 1], values[..., 2])
 
-    def from_origin(self) -> Poses:
+    def from_origin(self) -> "Poses":
         """Return the poses with (0, 0, 0) before the first in the last axis."""
         parts = (self.x_m, self.y_m, self.theta_rad)
         return Poses(*(np.concatenate((np.zeros_like(part[..., :1]), part), axis=-1) for part in parts))

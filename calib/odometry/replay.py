@@ -1,7 +1,5 @@
 """Logged runs replayed through odometry, against their reference poses; the runtime is fed the same logs."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
@@ -58,14 +56,14 @@ class Replay(Result):
     #: rms of the constant radii over that of the corrected ones, bootstrapped over runs
     ratio: float
     ratio_ci95: tuple[float, float]
-    runtime: RuntimeCheck  #: the vehicle's own code on the same logs
+    runtime: "RuntimeCheck"  #: the vehicle's own code on the same logs
     left_out: dict[str, int]  #: runs that could not be compared, by reason
     #: whether a front wheel or four wheels drive the odometry: ``constant`` is ``corrected``, the runtime not fed
     by_geometry: bool = False
     notes: tuple[str, ...] = ()  #: what had to be assumed
 
     @property
-    def table(self) -> DataFrame:
+    def table(self) -> "DataFrame":
         """End errors of the runs by each odometry; SI units."""
         from pandas import DataFrame
 

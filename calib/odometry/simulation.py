@@ -1,7 +1,5 @@
 """Simulations: studies of the paper's Section 7, and vehicles that follow a route with wrong radii."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -97,12 +95,12 @@ class Case:
         return f"{self.which} off, E_r = {self.ratio:g}"
 
     @staticmethod
-    def off(which: str, ratio: float) -> Case:
+    def off(which: str, ratio: float) -> "Case":
         """Return the case of a wheel that is off by a ratio; see `ratios`."""
         return Case(which, ratio, *ratios(which, ratio))
 
     @staticmethod
-    def given(left: float, right: float) -> Case:
+    def given(left: float, right: float) -> "Case":
         """Return the case of radii (left, right) over the believed ones."""
         return Case("given", right / left, left, right)
 
@@ -273,7 +271,7 @@ class Simulation(Result):
     law: LawPart | None
 
     @property
-    def table(self) -> DataFrame:
+    def table(self) -> "DataFrame":
         """The end of every vehicle's drive as a table; SI units."""
         from pandas import DataFrame
 

@@ -1,7 +1,5 @@
 """Runs and routes, in good and poor designs that a lab would drive."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
@@ -156,7 +154,7 @@ class Design:
         stretch = self.length_m * np.where(self.kind == "corridor_short", SHORT, 1.0)
         return np.where(self.direction == "back", stretch, 0.0)
 
-    def select(self, keep: ArrayLike) -> Design:
+    def select(self, keep: ArrayLike) -> "Design":
         """Return the runs that `keep` (mask or indices, repeats allowed) picks."""
         index = np.asarray(keep)
         of_runs = [field.name for field in fields(self) if isinstance(getattr(self, field.name), np.ndarray)]

@@ -1,7 +1,5 @@
 """The drive itself: fine time steps, all runs at once, each closed on its own odometry."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 
@@ -44,13 +42,13 @@ class Record:
     ends: FloatArray  #: shape (15, n_driven): last frame of every run, logged or not
 
     @staticmethod
-    def of(frames: IntArray, stacked: FloatArray, ends: FloatArray) -> Record:
+    def of(frames: IntArray, stacked: FloatArray, ends: FloatArray) -> "Record":
         """Return the record of frames (15, n_frames, n_runs); see `_Runs.frame`."""
         motion = dict(zip(_MOTION, stacked[:8], strict=True))
         return Record(frames=frames, **motion, counts=stacked[8:11], odo=stacked[11:15], ends=ends)
 
     @property
-    def end(self) -> Record:
+    def end(self) -> "Record":
         """The ends of all runs driven, a frame each."""
         return Record.of(np.ones(self.ends.shape[1], dtype=np.int64), self.ends[:, None], self.ends)
 

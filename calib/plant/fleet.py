@@ -1,7 +1,5 @@
 """Fleets with known spread, outliers, drift and a common cause."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -162,7 +160,7 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
     return fleet.truth
 
 
-def _write_beside(folder: Path, halls: Mapping[str, str], truth: FleetTruth | PosedTruth) -> None:
+def _write_beside(folder: Path, halls: Mapping[str, str], truth: "FleetTruth | PosedTruth") -> None:
     lines = ["vehicle,hall", *(f"{name},{hall}" for name, hall in halls.items())]
     (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(asdict(truth), indent=2) + "\n", encoding="utf-8")

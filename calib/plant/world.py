@@ -1,7 +1,5 @@
 """The true world of a campaign, run by run, its noise, and the forms of effects."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
@@ -33,7 +31,7 @@ class Noise:
     reading_rad: float = 2e-3  #: one reading of the steering angle
     tail: float = 5.0  #: degrees of freedom of Student's t over the runs; above 2, infinite is normal
 
-    def times(self, factor: float) -> Noise:
+    def times(self, factor: float) -> "Noise":
         """Return the noise with every scale times a factor, to four digits."""
         scales = [field.name for field in fields(self) if field.name not in ("stated_ratio", "tail")]
         return replace(self, **{name: float(f"{getattr(self, name) * factor:.4g}") for name in scales})
@@ -59,7 +57,7 @@ class NoiseDraw:
     reading_rad: float = 0.0  #: scale of one reading of the steering angle
     copies: int = 1
 
-    def tile(self, times: int) -> NoiseDraw:
+    def tile(self, times: int) -> "NoiseDraw":
         """Return the draw for `times` copies of the runs, end to end."""
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "pose"}
         tiled: dict[str, Any] = {name: np.tile(x, times) for name, x in values.items() if isinstance(x, np.ndarray)}
@@ -146,7 +144,7 @@ class Moment:
     turned_rad: FloatArray  #: shape (2, n_runs): `angle_left_rad` and `angle_right_rad`
 
     @staticmethod
-    def at_rest(n_runs: int) -> Moment:
+    def at_rest(n_runs: int) -> "Moment":
         """Return the moment before the start."""
         added, turned_rad = np.zeros((8, n_runs)), np.zeros((2, n_runs))
         rows = (*np.zeros((6, n_runs)), *turned_rad, *added, added, turned_rad)

@@ -7,8 +7,6 @@ V_between that covers as stated for every true share (Trickett and Welch, Biomet
 vanishes it is Student's t of the other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -63,7 +61,7 @@ class WheelLaw:
     load_max_N: float
     n_runs: int
     #: parts of the covariance and of the scatter, which give each load its degrees of freedom; None: `dof` for all
-    strata: LineEstimate | None = None
+    strata: "LineEstimate | None" = None
 
     def radius_m(self, load_N: ArrayLike) -> FloatArray:
         """Return the effective radius at `load_N` (any shape), same shape, in m."""
@@ -219,7 +217,7 @@ class LineEstimate:
     @staticmethod
     def one_stratum(
         design: str, coefficients: FloatArray, covariance: FloatArray, dof: float, variance: float, *, hc3: bool = False
-    ) -> LineEstimate:
+    ) -> "LineEstimate":
         """Return an estimate of independent runs; see `LineEstimate`.
 
         `covariance`: of radius and slope, shape (2, 2); `dof`: its degrees of freedom; `variance`: of a single run.

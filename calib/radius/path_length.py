@@ -7,8 +7,6 @@ adds the arc. Weaves begin and end flatter: both ends count little in the fit, a
 is not corrected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -62,7 +60,7 @@ class PathExcess:
     yaw_rad: FloatArray
 
     @staticmethod
-    def of(centre: FloatArray, yaw_rad: FloatArray, distance_m: FloatArray, track_m: float) -> PathExcess:
+    def of(centre: FloatArray, yaw_rad: FloatArray, distance_m: FloatArray, track_m: float) -> "PathExcess":
         """Return the excess of paths by that of their middle; the wheels keep half a track from it."""
         half = 0.5 * track_m * yaw_rad / distance_m
         return PathExcess(centre, centre - half, centre + half, np.asarray(yaw_rad))

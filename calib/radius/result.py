@@ -1,7 +1,5 @@
 """The fit of a campaign, and its result folder."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -109,7 +107,7 @@ class Fit(Result):
         return tuple(dict.fromkeys(check.sentence for check in failed if check.name == PLAUSIBLE))
 
     @property
-    def table(self) -> DataFrame:
+    def table(self) -> "DataFrame":
         """The runs used: labels, loads, radii, standard uncertainties, residuals; SI units."""
         from pandas import DataFrame
 
@@ -125,7 +123,7 @@ class Fit(Result):
         return {**written, CHECKSUM_KEY: checksum(written)}
 
     @staticmethod
-    def from_dict(value: Mapping[str, Any]) -> Fit:
+    def from_dict(value: Mapping[str, Any]) -> "Fit":
         """Return the fit that `to_dict` wrote.
 
         Raises BadInputError where a key is missing or of the wrong kind.

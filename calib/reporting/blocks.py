@@ -1,7 +1,5 @@
 """What a page or a terminal's text is made of: sentences of ``words.toml``, and blocks without layout."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import tomllib
@@ -156,7 +154,7 @@ class Picture(Block):
     name: str
     caption: str
     alt: str
-    draw: Callable[[], Figure] = field(metadata={"json": False})
+    draw: "Callable[[], Figure]" = field(metadata={"json": False})
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +189,7 @@ def picture(name: str, alt: str, figure: str, *values: Any, **options: Any) -> P
     return Picture(name, caption(name), alt, partial(drawn, figure, *values, **options))
 
 
-def drawn(figure: str, *values: Any, **options: Any) -> Figure:
+def drawn(figure: str, *values: Any, **options: Any) -> "Figure":
     """Return a figure of `calib.reporting.figures` by ``module.function``."""
     made: Figure = named("figures", figure)(*values, **options)
     return made

@@ -1,7 +1,5 @@
 """Reports as PDF/A-3 with the coefficient file attached, and as one HTML page; the result folder of a fleet."""
 
-from __future__ import annotations
-
 import base64
 import re
 import unicodedata
@@ -126,7 +124,7 @@ def to_html(report: Report, panels: str = "") -> str:
     return _page(page, sections, panels)
 
 
-def diagnosis_page(diagnosis: Diagnosis, campaign: Campaign) -> str:
+def diagnosis_page(diagnosis: "Diagnosis", campaign: Campaign) -> str:
     """Return a diagnosis as a self-contained HTML page; raises MissingExtraError where Bokeh is not installed."""
     from calib.reporting.interactive import interactive_panels
     from calib.reporting.topics.diagnosis import diagnosis_content, page_one_notice
@@ -170,7 +168,7 @@ def _pictures(blocks: Iterable[Block]) -> dict[str, str]:
 
 
 @cache
-def _template() -> Template:
+def _template() -> "Template":
     environment = templates_of("calib.reporting", markup=True)
     environment.globals |= {"equations": EQUATIONS, "groups": _groups}
     return environment.get_template("page.html.j2")
@@ -181,7 +179,7 @@ def _groups(columns: Sequence[Mapping[str, str]]) -> list[tuple[str, int]]:
     return [(run[0][1], len(run)) for run in (list(group) for _, group in groupby(keys, key=lambda key: key[0]))]
 
 
-def write_fleet(fleet: Fleet | Survey, into: Path, *, name: str, issued: str, force: bool = False) -> list[Path]:
+def write_fleet(fleet: "Fleet | Survey", into: Path, *, name: str, issued: str, force: bool = False) -> list[Path]:
     """Write the result of a task over a fleet, all of it or none, with its pages.
 
     `name`, `issued`: of the fleet, and date of issue, see `Report`; `force`: in place of others.

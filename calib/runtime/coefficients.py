@@ -1,7 +1,5 @@
 """Reading the coefficient file with the standard library alone: units, ranges and checksum are verified."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -85,7 +83,7 @@ class Coefficients:
     unapplied_effects: tuple[str, ...]
 
     @classmethod
-    def read(cls, path: str | Path) -> Coefficients:
+    def read(cls, path: str | Path) -> "Coefficients":
         """Read and verify the file at `path`.
 
         Raises
@@ -103,7 +101,7 @@ class Coefficients:
             raise CoefficientError(f"{path}: {error}") from error
 
     @classmethod
-    def parse(cls, text: str) -> Coefficients:
+    def parse(cls, text: str) -> "Coefficients":
         """Return the coefficients in the JSON `text`; see `read`."""
         try:
             document = json.loads(text)

@@ -10,8 +10,6 @@ Wheel angles in, wheel travel with the effects out::
 Effects on readings, at places, at stops and of the steering do not act on the wheels: see `Effects.left_out`.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable
@@ -309,7 +307,7 @@ class Effects:
         self._phases = (0.0, 0.0)
 
     @classmethod
-    def from_file(cls, path: str | Path) -> Effects:
+    def from_file(cls, path: str | Path) -> "Effects":
         """Read and verify the file at `path`; raises CoefficientError where it cannot be used."""
         coefficients = Coefficients.read(path)
         document = json.loads(Path(path).read_bytes().decode("utf-8-sig"))

@@ -14,8 +14,6 @@ Faults. A refused sample changes nothing: the next is measured against the last 
 plausible sample comes, or until `rebase` gives the motion in between up.
 """
 
-from __future__ import annotations
-
 import enum
 import math
 from dataclasses import dataclass
@@ -117,7 +115,7 @@ class Odometer:
         self.reset()
 
     @classmethod
-    def from_file(cls, path: str | Path, *, band: str = "mean") -> Odometer:
+    def from_file(cls, path: str | Path, *, band: str = "mean") -> "Odometer":
         """Return the odometer of the coefficient file at `path`."""
         return cls(Coefficients.read(path), band=band)
 

@@ -1,7 +1,5 @@
 """The files of sources and their contents: columns, sheets, streams with their clocks."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -97,7 +95,7 @@ class ColumnContents:
     #: rises in even steps, like a clock
     even: bool = False
 
-    def words(self, alike: Sequence[ColumnContents]) -> str:
+    def words(self, alike: "Sequence[ColumnContents]") -> str:
         """Return the column in words; `alike`: the same column of all files of its kind."""
         text = f"{self.name}: "
         if self.kind == "number":
@@ -138,7 +136,7 @@ class FileContents:
     #: files of names like its own that were not looked into
     unread: int = field(default=0, metadata={"json": False})
 
-    def alike(self, other: FileContents) -> bool:
+    def alike(self, other: "FileContents") -> bool:
         """Return whether both have the same columns."""
         return [column.name for column in self.columns] == [column.name for column in other.columns]
 

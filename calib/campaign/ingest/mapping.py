@@ -5,8 +5,6 @@ docs/ingest.md has an example of each line. ``[table]`` and ``[log]`` name a sou
 of calib, with any known unit, need no line.
 """
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -92,7 +90,7 @@ class MappedColumn(_Model):
     lag_s: float = Field(default=0.0, gt=-1e12, lt=1e12, description="a number of seconds")
 
     @model_validator(mode="after")
-    def _usable(self) -> MappedColumn:
+    def _usable(self) -> "MappedColumn":
         if not self.column and self.value is None and "column" not in self.model_fields_set:
             raise _UnfitError("", None, _COLUMN)
         if bool(self.sheet) != bool(self.by):
@@ -167,7 +165,7 @@ class _Section(_Model):
         return {name: section[name] for name in keys & set(section)} | {"columns": columns}
 
     @model_validator(mode="after")
-    def _units_fit(self) -> _Section:
+    def _units_fit(self) -> "_Section":
         for name, line in self.columns.items():
             if line.w and (name != "ref_theta_rad" or isinstance(self, TableSection) or line.unit or not line.column):
                 raise _UnfitError(name, line.w, "w of a quaternion for ref_theta_rad in [log] alone, without a unit")
@@ -259,7 +257,7 @@ class Segmentation(_Model):
     run_id: str = Field(default="r{n:03}", description="a text")
 
     @model_validator(mode="after")
-    def _complete(self) -> Segmentation:
+    def _complete(self) -> "Segmentation":
         if self.by == "length" and (self.length_m > 0) == (self.length_s > 0):
             raise _UnfitError("length_m", self.length_m, "a length, either length_m or length_s")
         if self.by == "column" and not self.column:

@@ -3,8 +3,6 @@
 MATLAB's objects are never loaded; its element tree is checked before a reader in C, which trusts every tag.
 """
 
-from __future__ import annotations
-
 import logging
 import struct
 import zlib
@@ -234,7 +232,7 @@ def _properties(place: str, found: Mapping[str, Any]) -> dict[str, str]:
     return {f"{place}: {key}": str(value)[:200] for key, value in found.items()}
 
 
-def _streams(group: str, channels: Mapping[str, TdmsChannel]) -> list[Stream]:
+def _streams(group: str, channels: "Mapping[str, TdmsChannel]") -> list[Stream]:
     keys = ("wf_start_time", "wf_increment", "wf_start_offset")
     together = grouped(
         ((len(channel), *(str(channel.properties.get(key)) for key in keys)), (name, channel))
@@ -255,7 +253,7 @@ def _streams(group: str, channels: Mapping[str, TdmsChannel]) -> list[Stream]:
     return streams
 
 
-def _values(channel: TdmsChannel) -> FloatArray:
+def _values(channel: "TdmsChannel") -> FloatArray:
     # no channel is held twice
     values: FloatArray = np.empty(len(channel))
     for start in range(0, len(channel), _CHUNK_SAMPLES):
@@ -263,7 +261,7 @@ def _values(channel: TdmsChannel) -> FloatArray:
     return values
 
 
-def _time(channel: TdmsChannel) -> IntArray | None:
+def _time(channel: "TdmsChannel") -> IntArray | None:
     step = channel.properties.get("wf_increment")
     if not isinstance(step, int | float) or not step > 0:
         return None

@@ -1,7 +1,5 @@
 """Tables as read; header, numbers and times, nothing guessed."""
 
-from __future__ import annotations
-
 import itertools
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -106,7 +104,7 @@ class RawTable:
     #: first cell and format of these columns, as written
     written: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
-    def select(self, keep: slice | BoolArray) -> RawTable:
+    def select(self, keep: slice | BoolArray) -> "RawTable":
         """Return the rows that `keep` picks."""
         columns = {name: cells[keep] for name, cells in self.columns.items()}
         return replace(self, columns=columns, line=self.line[keep])

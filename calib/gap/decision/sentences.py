@@ -1,7 +1,5 @@
 """The verdict in sentences, whether to apply the fix, and the paper's figures beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import isinf
@@ -295,8 +293,8 @@ class PaperHeadline:
 
     effect: str  #: the cause
     sole_candidate: bool  #: whether the runs separate it from others
-    paper: Reduction
-    campaign: Reduction  #: root mean squares over held-out runs
+    paper: "Reduction"
+    campaign: "Reduction"  #: root mean squares over held-out runs
     sentence: str
 
 

@@ -1,7 +1,5 @@
 """Encoders: eccentric wheels, lost counts, and blunders (wrong factor, side or sign)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -214,7 +212,7 @@ class Blunder:
         return {"factor_left": self.left, "factor_right": self.right}
 
     @classmethod
-    def from_factors(cls, label: str, factors: Mapping[str, float]) -> Blunder | None:
+    def from_factors(cls, label: str, factors: Mapping[str, float]) -> "Blunder | None":
         """Return the fault of a label and its `factors`, None where one is missing or 0."""
         left, right = factors.get("factor_left"), factors.get("factor_right")
         return cls(label, left, right, swapped=label.startswith(_SWAPPED)) if left and right else None

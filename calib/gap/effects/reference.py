@@ -1,7 +1,5 @@
 """Instruments: errors of the rangefinder and of the pose reference."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -324,7 +322,7 @@ class TurnedReference:
         value, half = self.yaw_rad, COVERAGE_FACTOR * self.sd_rad
         return {"yaw": (value, (value - half, value + half), "rad")}
 
-    def refined(self, turned_rad: float, sd_rad: float) -> TurnedReference:
+    def refined(self, turned_rad: float, sd_rad: float) -> "TurnedReference":
         """Return the mounting whose positions a fit beside the other causes found turned by so much more."""
         return replace(self, yaw_rad=self.yaw_rad - turned_rad, sd_rad=sd_rad)
 

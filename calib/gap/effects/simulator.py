@@ -1,7 +1,5 @@
 """Parameters of the user's own simulator as effects: what a step of each changed in its end poses."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -104,7 +102,7 @@ class _Basis:
     enough: float  #: and is worth it where it leaves no more than this share
 
     @classmethod
-    def of(cls, wheels: FloatArray, by_wheels: FloatArray, groups: int, most: float, enough: float) -> _Basis:
+    def of(cls, wheels: FloatArray, by_wheels: FloatArray, groups: int, most: float, enough: float) -> "_Basis":
         """Return a basis for weighted readings by left, right and track, shape (n_obs, 4, 3)."""
         columns = (by_wheels @ wheels).reshape(groups, -1, wheels.shape[2])
         turned = np.swapaxes(columns, 1, 2)

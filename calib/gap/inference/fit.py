@@ -1,7 +1,5 @@
 """Gauss-Newton fit of a recalibration and effects on the re-simulated path."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -43,7 +41,7 @@ class Fitted:
     chi_square: float  #: whitened sum of squares of the residual
     left: FloatArray  #: shape (n_units, 6): residuals, not whitened
 
-    def at_end(self) -> Fitted:
+    def at_end(self) -> "Fitted":
         """Return the fit as a file holds it: what counts on is zero at the campaign's end."""
         place, turned = 4, np.eye(len(self.covariance))
         for form in self.forms:

@@ -1,7 +1,5 @@
 """Generalised least squares beside lack of fit: estimates, one controlled step, and residuals of held-out runs."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -48,7 +46,7 @@ class Weighting:
     @staticmethod
     def from_component(
         system: LinearSystem, kind: int = -1, scale: float = 0.0, deviations: FloatArray | None = None
-    ) -> Weighting:
+    ) -> "Weighting":
         """Return that of a component (-1: none), its scale and each block's deviations, (n_rows, k)."""
         rest = system.kinds[kind] if kind >= 0 else LackOfFit("")
         nothing = np.zeros((len(system.gap), 0))

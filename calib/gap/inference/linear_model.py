@@ -1,7 +1,5 @@
 """The whitened linear model about one path: design matrix, and scalar products at each scale of the lack of fit."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
@@ -72,7 +70,7 @@ class LinearSystem:
     def _gram(self) -> FloatArray:
         return above_rounding(self.whole.T @ self.whole)
 
-    def only(self, numbers: Sequence[int]) -> LinearSystem:
+    def only(self, numbers: Sequence[int]) -> "LinearSystem":
         """Return the system with some of its forms, in the order given."""
         selected, gram = copy(self), self._gram
         selected.forms = tuple(self.forms[k] for k in numbers)
@@ -160,7 +158,7 @@ class WhitenedSystem:
         self._columns: dict[int, tuple[Form, FloatArray]] = {}
         self._known, self._back = known, None if known is None else np.argsort(known.blocks.order)
 
-    def repeated(self, times: FloatArray) -> WhitenedSystem:
+    def repeated(self, times: FloatArray) -> "WhitenedSystem":
         """Return the system with each observation made so often, (n_obs,), or not at all."""
         weight = np.sqrt(times)[np.nonzero(self.path.s.usable)[0], None]
         rows, some = weight[:, 0] > 0.0, copy(self)

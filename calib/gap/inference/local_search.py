@@ -1,7 +1,5 @@
 """Stepwise search about one linearisation, from set to set of effects by scalar products alone."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
@@ -205,7 +203,7 @@ class LocalSearch:
         alike = [n for n, model in enumerate(models) if self._effects_of(model) == effects]
         return models[max(alike, key=lambda n: float(total[n]))]
 
-    def with_current(self, model: Model) -> LocalSearch:
+    def with_current(self, model: Model) -> "LocalSearch":
         """Return this linearisation with another current model."""
         other = copy(self)
         other.sizes = dict(self.sizes)

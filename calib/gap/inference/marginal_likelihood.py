@@ -1,7 +1,5 @@
 """Marginal likelihood of Gaussian hypotheses: sets of forms, weighed by scalar products alone."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -40,7 +38,7 @@ class Nuisance:
     log_det: float  #: log |I + X X^T|
 
     @staticmethod
-    def of(columns: FloatArray) -> Nuisance:
+    def of(columns: FloatArray) -> "Nuisance":
         """Make it of whitened columns (n_rows, k) to unit prior variance."""
         gram = np.eye(columns.shape[1]) + columns.T @ columns
         # on a unit diagonal columns alike stay factorable

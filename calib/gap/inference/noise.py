@@ -4,8 +4,6 @@ A sum of components, correlated as heading noise becomes lateral error; their sc
 beside a mean in each channel and a calibration of each group. That of windows is checked by its growth with length.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -209,7 +207,7 @@ def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, exces
     return _by_growth(path, covariance, counted, window_growth(path))
 
 
-def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: WindowGrowth | None) -> tuple[bool, str]:
+def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: "WindowGrowth | None") -> tuple[bool, str]:
     """Return whether windows' noise grows with their length as noise does."""
     if growth is None:
         return False, f"nothing: {counted} scatter more than stated, and there are too few to see how that grows"

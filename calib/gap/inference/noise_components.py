@@ -1,7 +1,5 @@
 """Noise components: their covariance in the channels of a run, and the trends that are no noise."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
@@ -153,7 +151,7 @@ class NoiseComponents:
     active: BoolArray  #: shape (n_components,): components that show in any channel used
 
     @staticmethod
-    def about(path: Path) -> NoiseComponents:
+    def about(path: Path) -> "NoiseComponents":
         """Return those of all units of a path."""
         usable, shapes = path.s.usable, kernels(path)
         both = (usable[:, :, None] & usable[:, None, :]).astype(np.float64)
@@ -166,7 +164,7 @@ class NoiseComponents:
         whole = np.tensordot(variance, self.kernels, axes=1) + self.fixed
         return masked(whole / weight[:, None, None], self.usable)
 
-    def select(self, units: IntArray) -> NoiseComponents:
+    def select(self, units: IntArray) -> "NoiseComponents":
         """Return the shapes of some units."""
         kernels = np.ascontiguousarray(self.kernels[:, units])
         return NoiseComponents(kernels, self.fixed[units], self.usable[units], self.active)
@@ -186,7 +184,7 @@ class Trends:
     after: FloatArray
 
     @staticmethod
-    def of_all(shared: FloatArray) -> Trends:
+    def of_all(shared: FloatArray) -> "Trends":
         """Return trends of all units, (n_units, 6, k), without steps."""
         return Trends(shared, shared[:, :, :0], np.zeros(len(shared), dtype=np.int64), shared[:, :, :0])
 

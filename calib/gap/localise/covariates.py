@@ -1,7 +1,5 @@
 """What the gap correlates with: F tests on each run's covariates and each wheel's travel."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -137,7 +135,7 @@ class _Dependence:
     group: IntArray | None
 
     @staticmethod
-    def of(values: FloatArray | StrArray, y: FloatArray) -> _Dependence | None:
+    def of(values: FloatArray | StrArray, y: FloatArray) -> "_Dependence | None":
         if values.dtype.kind == "f":
             on = np.isfinite(y) & np.isfinite(values)
             x = floats(values[on])

@@ -1,7 +1,5 @@
 """Where the gap lies: by channel, covariate, run, and place inside the runs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -79,7 +77,7 @@ class GapLocation:
     runs: tuple[RunDeviation, ...] = ()  #: deviating most
     places: tuple[PlaceResult, ...] = ()  #: inside the runs, smallest p first
     notes: tuple[str, ...] = ()  #: what these runs cannot be asked
-    rest: GapLocation | None = None  #: of what the named causes leave
+    rest: "GapLocation | None" = None  #: of what the named causes leave
 
     @property
     def significant(self) -> tuple[CovariateResult, ...]:

@@ -1,7 +1,5 @@
 """A run or window of a recording: wheel angles, what was measured at its end, and reference poses."""
 
-from __future__ import annotations
-
 import mmap
 import os
 from collections.abc import Mapping
@@ -36,7 +34,7 @@ class CountsPerRadian:
     front: float
 
     @staticmethod
-    def from_encoder(encoder: Encoder) -> CountsPerRadian:
+    def from_encoder(encoder: Encoder) -> "CountsPerRadian":
         """Return the scales of an encoder section."""
         per_rev = (encoder.counts_per_rev_left, encoder.counts_per_rev_right, encoder.front)
         return CountsPerRadian(*(counts / (2 * np.pi) for counts in per_rev))
@@ -177,7 +175,7 @@ class ReferencePoses:
     travelled_m: FloatArray
     in_map: bool  #: whether all runs share the frame
     from_first: bool  #: whether the run's frame is that of its first pose, not of the poses
-    course: CourseOverGround | None  #: how headings are made up, if not measured
+    course: "CourseOverGround | None"  #: how headings are made up, if not measured
 
     def pose(self, number: int) -> tuple[FloatArray, float, FloatArray]:
         """Return a pose; of a heading from the course its standard uncertainty (else NaN) and `course_error`, (3,)."""

@@ -1,7 +1,5 @@
 """Runs of the user's simulator, several at once, and what a step off each parameter changes."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -236,7 +234,7 @@ class Differences:
             carried[first] = replace(carried[first], reading=carried[first].reading + missed / size)
         return [SimulatorParameter(each.parameter, carried[each.name], each.family) for each in settings.parameters]
 
-    def through(self, deviation: Mapping[str, float], table: FloatArray, typical: Mapping[str, float]) -> Differences:
+    def through(self, deviation: Mapping[str, float], table: FloatArray, typical: Mapping[str, float]) -> "Differences":
         """Return the differences adjusted to meet a run's table, by the least change of derivatives (Broyden 1965)."""
         change = difference(table, self.nominal)
         miss = change - sum((self.change[name] * size for name, size in deviation.items()), np.zeros_like(change))

@@ -1,7 +1,5 @@
 """Export formats that need the fit or the runs, one file each; see `FORMATS`."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -21,7 +19,7 @@ BINARY: Final = frozenset({"mcap"})
 
 
 def export_from(
-    path: Path | str, to: str, *, accept: str = "", progress: Progress | None = None
+    path: Path | str, to: str, *, accept: str = "", progress: "Progress | None" = None
 ) -> tuple[Artifact, ...]:
     """Return the files of a campaign, or of a result folder, in a format of `FORMATS`.
 
@@ -35,7 +33,7 @@ def export_from(
     return artifacts
 
 
-def diagnosed(path: Path, progress: Progress) -> tuple[Campaign, Diagnosis]:
+def diagnosed(path: Path, progress: "Progress") -> "tuple[Campaign, Diagnosis]":
     """Return a campaign and its diagnosis without a plan; BadInputError for a result folder, which has no runs."""
     from calib.campaign.read import read_campaign
     from calib.gap.diagnose import diagnose_in_full

@@ -3,8 +3,6 @@ r"""A Digital Calibration Certificate, DCC 3.0.0 of PTB, of both wheels' radius 
 Numbers are in D-SI units (``\metre\newton\tothe{-1}``; SI_Format 2.0.0).
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -99,7 +97,7 @@ class Certificate(_Section):
     received: Day | None = None
 
     @model_validator(mode="after")
-    def _ordered(self) -> Certificate:
+    def _ordered(self) -> "Certificate":
         if self.end < self.begin:
             raise ValueError("end is before begin")
         return self

@@ -1,7 +1,5 @@
 """Paths, gap and noise of every run, each in its start frame, as ROS 2 messages in one MCAP file."""
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Iterator
@@ -48,7 +46,7 @@ class Track:
     time_s: FloatArray
     poses: FloatArray
 
-    def thinned(self) -> Track:
+    def thinned(self) -> "Track":
         """Return at most `MOST_POSES` poses, both ends among them."""
         kept = evenly(len(self.time_s), MOST_POSES)
         return Track(self.time_s[kept], self.poses[kept])

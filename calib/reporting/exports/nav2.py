@@ -4,8 +4,6 @@ An end pose's covariance is linear in the alphas of AMCL's differential motion m
 Robotics, 2005, section 5.4; docs/exports.md), as in a random walk and in errors constant during a run: `form_ratios`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -50,7 +48,7 @@ class Spread:
     components: FloatArray
     reference: FloatArray
 
-    def of(self, units: BoolArray) -> Spread:
+    def of(self, units: BoolArray) -> "Spread":
         """Return the same of some observations (n_obs,)."""
         return Spread(self.names, self.components[:, units], self.reference[units])
 

@@ -1,7 +1,5 @@
 """A fleet's results; the scoreboard of a blind check."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -181,7 +179,7 @@ def _misses(score: Score) -> Table:
     return table("Misses.", ("<Case", "<Group", "Signal", "*Truth", "*Answer", "*Nearest alternative, sigma"), rows)
 
 
-def own_content(own: Own) -> list[Block]:
+def own_content(own: "Own") -> list[Block]:
     """Return what was found, as blocks."""
     head = ("*Planted", "Size", "<Unit", "Signal", "Times", "Seen")
     rows: dict[bool, list[tuple[str, ...]]] = {False: [], True: []}

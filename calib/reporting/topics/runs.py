@@ -1,7 +1,5 @@
 """Runs: a check's findings, a fit's runs used and not used, deviation of their paths."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
@@ -41,7 +39,7 @@ def sessions_table(fit: Fit) -> Table:
     return table(title, columns, rows[: results.MOST_ROWS], dense=True)
 
 
-def runs_section(source: Source) -> Section:
+def runs_section(source: "Source") -> Section:
     """Return the runs used, and not used with the reason."""
     fit, radii = source.fit, source.fit.radii
     sessions = plural(len(set(radii.session.tolist())), "session")
@@ -58,7 +56,7 @@ def runs_section(source: Source) -> Section:
 TOLERANCE: Final = 5e-4
 
 
-def deviation_section(source: Source) -> Section:
+def deviation_section(source: "Source") -> Section:
     """Return how much longer the wheels' paths were than measured, and what was corrected."""
     radii = source.fit.radii
     known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)

@@ -1,7 +1,5 @@
 """Simulations of Section 7, replays of logged runs, and wheel loads: what is said of them, and their files."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
