@@ -259,7 +259,7 @@ def build_world(design: Design, model: OdometryModel) -> World:
     """Return the world in which the model is right."""
     n_runs = len(design)
     left_N, right_N = wheel_loads(design.vehicle, design.payload_kg, design.payload_x_m, design.payload_y_m)
-    arrays: dict[str, Any] = {field.name: np.zeros(n_runs) for field in fields(World) if field.type == "FloatArray"}
+    arrays: dict[str, Any] = {field.name: np.zeros(n_runs) for field in fields(World) if field.type == FloatArray}
     ones = ("left", "right", "track", "laser_scale", "steer_scale", "payload_scale")
     arrays |= {name: np.ones(n_runs) for name in ones} | {"wavelength_m": np.full(n_runs, 5.0)}
     arrays |= {"load_left_N": left_N, "load_right_N": right_N}
