@@ -10,9 +10,9 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import STEERING_ZERO, nominal_values
-from calib.kinematics.joint_fit import Fitted, parted
-from calib.kinematics.model import Model, Segments
+from calib.kinematics.drives import STEERING_ZERO
+from calib.kinematics.joint_fit import LOADS_VARY, Fitted, parted
+from calib.kinematics.model import Model, Segments, replicates
 from calib.kinematics.readings import implausible_lengths
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS, flattened, left_within, whitened
@@ -33,9 +33,6 @@ WRONG_SHARE: Final = 0.05
 FOLDS: Final = 5
 #: of fewer runs one is held out where the others keep this part of what is told of every direction: twice the spread
 LEAST_TOLD: Final = 0.25
-#: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
-REPLICATE_SHARE: Final = 0.05
-REPLICATE_TURN_RAD: Final = 0.3
 #: from which replicates' scatter counts: known to about a third
 REPLICATE_DOF: Final = 4
 #: drift of a calibrated odometry without replicates: share of the way (UMBmark's robots: 0.1 to 0.5 %), and heading as
@@ -179,14 +176,14 @@ def judged(
     by_zero = _by_zero(fitted, logged)
     held_out = np.where(seen, _held_out(fitted, whole, after), 0.0)
     way_m, rotation_rad = travelled(whole, fitted.solution.values)
-    replicates = _replicates(whole, way_m)
+    alike = replicates(whole, way_m, LOADS_VARY * max(campaign.model.reference_load_N, 1.0))
     session = whole.recording.session
-    in_session = np.unique(session, return_inverse=True)[1][whole.segments.run] * len(replicates) + replicates
+    in_session = np.unique(session, return_inverse=True)[1][whole.segments.run] * len(alike) + alike
     within = left_within(fitted.solution, fitted.parameters.free, fitted.model.segments, session)
 
     def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
         at, left = used & seen[:, columns].any(axis=1), within[columns.start // 2]
-        scatters = (_scatter(after[:, columns], group, at) for group in (in_session, replicates))
+        scatters = (_scatter(after[:, columns], group, at) for group in (in_session, alike))
         scatter = next((size for size, dof in scatters if dof >= REPLICATE_DOF and size), 0.0)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
         # scatter over sessions that differ is no noise
@@ -210,7 +207,7 @@ def judged(
     extra = (*impossible, *_further(fitted, whole, outliers, large, position, heading))
     if not (named or extra or reasons or more):
         runs = whole.recording.run_id[whole.segments.run[used]]
-        scatter_m, dof = _scatter(after[:, :2], replicates, used)
+        scatter_m, dof = _scatter(after[:, :2], alike, used)
         extra = (*_harmed(runs, before[used], after[used], way_m[used], scatter_m, dof),)
     verdicts = (level, level_of_heading, WRONG if named or impossible else DOUBTFUL if extra else CALIBRATED)
     why = (*(fault.text for fault in named), *extra, *reasons, *more)
@@ -272,20 +269,6 @@ def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> tuple[float
     members = [after[used & (group == number)] for number in np.unique(group[used])]
     squares, dof = sum(len(part) * part.var(axis=0).sum() for part in members), int(used.sum()) - len(members)
     return float(np.sqrt(squares / max(dof, 1))), dof
-
-
-def _replicates(whole: Model, path: FloatArray) -> IntArray:
-    """Return each segment's group of replicates, by the wheels."""
-    told = whole.segments.measured - whole.predict(nominal_values(whole.drive)).residuals
-    group = np.full(len(path), -1, dtype=np.int64)
-    while (group < 0).any():
-        at = int(np.argmin(group))
-        near = np.abs(path - path[at]) < REPLICATE_SHARE * path[at]
-        near &= np.hypot(*(told[:, :2] - told[at, :2]).T) < REPLICATE_SHARE * path[at]
-        near &= np.abs(told[:, 2] - told[at, 2]) < REPLICATE_TURN_RAD
-        group[near & (group < 0)] = at
-        group[at] = at
-    return group
 
 
 def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:

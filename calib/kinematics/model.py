@@ -6,7 +6,16 @@ from typing import Final
 import numpy as np
 
 from calib.errors import RefusedError
-from calib.kinematics.drives import SENSOR, Drive, Motion, Path, displacement, integrate_motion, moved_between
+from calib.kinematics.drives import (
+    SENSOR,
+    Drive,
+    Motion,
+    Path,
+    displacement,
+    integrate_motion,
+    moved_between,
+    nominal_values,
+)
 from calib.kinematics.recording import Recording, parts_seen
 from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
@@ -20,6 +29,11 @@ SHORT_CHORD: Final = 0.5
 Sensed = tuple[FloatArray, FloatArray, FloatArray]
 #: a late reference of a vehicle that starts with its counts moves by less of its speed
 ON_THE_MOVE: Final = 0.75
+#: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
+REPLICATE_SHARE: Final = 0.05
+REPLICATE_TURN_RAD: Final = 0.3
+#: and speeds by less than this share: what is set is kept to a tenth
+REPLICATE_SPEED: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,3 +293,25 @@ def _along_chord(seen: Sensed, *chord: Sensed) -> Sensed:
 
 def _parts(place: ComplexArray, turn: FloatArray) -> FloatArray:
     return np.stack([place.real, place.imag, turn], axis=1)
+
+
+def replicates(whole: Model, way_m: FloatArray, load_width_N: float) -> IntArray:
+    """Return the group of replicates of each segment, shape (n,): alike in motion by the wheels, speed and load."""
+    told = whole.segments.measured - whole.predict(nominal_values(whole.drive)).residuals
+    steps, lapse_s = whole.recording.steps, np.maximum(np.diff(whole.recording.t_s, prepend=0.0), 1e-3)
+    rolled = np.abs(steps.turned_rad).mean(axis=0)
+    # over the way: pauses have no speed
+    total = np.maximum(whole.segments.between(rolled), 1e-9)
+    speed = whole.segments.between(rolled**2 / lapse_s) / total
+    load_N = whole.segments.between(rolled * (np.zeros((1, 1)) if (n := steps.load_offset_N) is None else n)) / total
+    group = np.full(len(way_m), -1, dtype=np.int64)
+    while (group < 0).any():
+        at = int(np.argmin(group))
+        near = np.abs(way_m - way_m[at]) < REPLICATE_SHARE * way_m[at]
+        near &= np.hypot(*(told[:, :2] - told[at, :2]).T) < REPLICATE_SHARE * way_m[at]
+        near &= np.abs(told[:, 2] - told[at, 2]) < REPLICATE_TURN_RAD
+        near &= np.abs(speed - speed[at]) < REPLICATE_SPEED * speed[at]
+        near &= (np.abs(load_N - load_N[:, [at]]) < load_width_N).all(axis=0)
+        group[near & (group < 0)] = at
+        group[at] = at
+    return group

@@ -307,6 +307,7 @@ class SteeringDelay(Effect):
         errors = {"": (-rate, 0.0)}
         for delay in DELAYS_S:
             errors[f"about {delay:g} s"] = -_moves_within(observations, angle, rate, delay) / delay, delay
+            errors[f"about {-delay:g} s"] = _moves_within(observations, angle, rate, -delay) / delay, -delay
             errors[f"a lag of about {delay:g} s"] = -_lag_behind(observations, angle, delay) / delay, -delay
 
         def form(label: str, error: FloatArray, exact_at: float) -> Form:
@@ -317,14 +318,18 @@ class SteeringDelay(Effect):
 
 
 def _moves_within(observations: Observations, values: FloatArray, rate: FloatArray, delay_s: float) -> FloatArray:
-    """Return by how much a step quantity moves within a delay, past a run's end at its last rate, shape (n_steps,)."""
+    """Return by how much a step quantity moves within a delay, shape (n_steps,).
+
+    Past a run's end at its last rate; before its start it stood still.
+    """
     middle = observations.time_s - 0.5 * observations.duration_s
     if not np.isfinite(middle).all():
         return np.asarray(rate * delay_s)
-    end = (observations.starts[1:] - 1)[observations.unit]
+    first, end = (at[observations.unit] for at in (observations.starts[:-1], observations.starts[1:] - 1))
     # runs one after the other, further apart than any delay
     apart = observations.unit * (np.ptp(middle) + 1.0)
-    inside = np.interp(np.minimum(middle + delay_s, middle[end]) + apart, middle + apart, values)
+    at = np.clip(middle + delay_s, middle[first], middle[end])
+    inside = np.interp(at + apart, middle + apart, values)
     return np.asarray(inside - values + rate[end] * np.maximum(middle + delay_s - middle[end], 0.0))
 
 

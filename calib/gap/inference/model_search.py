@@ -32,6 +32,7 @@ _LIKELY_WINDOW: Final = 7.0
 REPORTED_GAP_PROBABILITY: Final = 0.3
 #: sets taken as current, one after the other
 _MAX_SET_CHANGES: Final = 5
+_MAX_FORM_CHANGES: Final = 3
 #: beside a larger lack of fit the search begins anew
 _SMALL_LACK_OF_FIT: Final = 1.0
 #: rms residual, in noise levels, beyond which no search begins: the largest scale of lack of fit but one
@@ -296,7 +297,8 @@ def _most_probable(
         most_probable = max(by_set, key=lambda key: by_set[key])
         if most_probable in visited:
             turns = list(visited)[list(visited).index(most_probable) :]
-            return visited[min(turns, key=lambda name: (len(name), -visited[name][2].current_weight))]
+            found = visited[min(turns, key=lambda name: (len(name), -visited[name][2].current_weight))]
+            return _outdone(*found, settle, weigh)
         moved = settle(local.with_current(local.best_form(most_probable, weighed.models, weighed.probability)), fitted)
         if moved is None:
             return visited[own]
@@ -338,3 +340,37 @@ def _step(before: Fitted, after: Fitted) -> float:
         return np.inf
     new, old = (np.concatenate([fitted.calibration, *fitted.theta]) for fitted in (after, before))
     return float(np.abs((new - old) / np.sqrt(np.diag(after.covariance))).max())
+
+
+def _outdone(
+    local: LocalSearch,
+    fitted: Fitted,
+    weighed: _WeighedModels,
+    settle: Callable[[LocalSearch, Fitted], _Settled | None],
+    weigh: Callable[[LocalSearch], _WeighedModels],
+) -> tuple[LocalSearch, Fitted, _WeighedModels]:
+    """Return the best of a set and of likely ones with another effect in place of one, each about its own path.
+
+    Effects of a large gap are further from what the path of another says of them than evidence can be.
+    """
+    best, own, total = (local, fitted, weighed), set(local.current_effects), weighed.probability.sum(axis=0)
+    least = total[weighed.models.index(local.current)] * np.exp(-_LIKELY_WINDOW)
+    likely = [weighed.models[int(n)] for n in np.argsort(-total) if total[n] > least]
+    named = [{form.effect for form in local.forms_of(model)} for model in likely]
+    others = [
+        model for model, names in zip(likely, named, strict=True) if len(names) == len(own) == len(own & names) + 1
+    ]
+    for other in others[:_SINGLE_STARTS]:
+        moved = settle(local.with_current(other), fitted)
+        # about its own path another form of it may be better
+        for _ in range(_MAX_FORM_CHANGES):
+            if moved is None:
+                break
+            about = weigh(moved[0])
+            if about.current_weight > best[2].current_weight:
+                best = (*moved, about)
+            form = moved[0].best_form(moved[0].current_effects, about.models, about.probability)
+            if form == moved[0].current:
+                break
+            moved = settle(moved[0].with_current(form), fitted)
+    return best
