@@ -14,6 +14,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.coefficients.build import from_geometry
 from calib.errors import ImplausibleError, RefusedError
+from calib.gap.plan.planned_runs import joined
 from calib.kinematics.adequacy import GeometryVerdict, Residuals, judge
 from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.estimate import Using, estimate_geometry
@@ -23,7 +24,7 @@ from calib.reporting.topics.geometry import verdict_sentences
 from tests.blunders import plant
 from tests.blunders.blunders import DIFFERENTIAL
 from tests.kinematics import steered
-from tests.kinematics.campaigns import Truth, campaign, square
+from tests.kinematics.campaigns import Truth, campaign, mixed, square
 
 TRUTH = {
     "radius_left_m": plant.RADIUS_LEFT_M,
@@ -72,6 +73,19 @@ def test_levels_follow_residuals_noise_and_way(
     found, why = judge(Residuals(before, after, held_out, noise=0.004, travelled=10.0, usual_noise=0.03))
     assert found is level
     assert bool(why) == (level is not GeometryVerdict.CALIBRATED)
+
+
+@pytest.mark.parametrize(("what", "wider"), [("speed", 1.04), ("load", 1.04), ("speed", 1.0), ("load", 1.0)])
+def test_what_another_speed_or_load_does_is_no_scatter(what: str, wider: float) -> None:
+    """A track 4 % wider at the other one turns squares by 0.25 rad: replicates are runs of one speed and load."""
+    rng, routes = np.random.default_rng(2), mixed(3)
+    parts = []
+    for number, track_m in enumerate((0.41, wider * 0.41)):
+        loads = np.full((len(routes), 2), 300.0 + 200.0 * number * (what == "load"))
+        lasted_s = 20.0 * (1.0 + number * (what == "speed"))
+        parts.append(campaign(routes, replace(Truth(), track_m=track_m), rng, loads=loads, duration_s=lasted_s))
+    found = estimate_geometry(joined(*parts))
+    assert (found.verdict is GeometryVerdict.CALIBRATED) == (wider == 1.0)
 
 
 @pytest.mark.parametrize("along", [False, True])

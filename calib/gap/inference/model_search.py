@@ -107,7 +107,8 @@ def search(
         return copy(initial), base
 
     gap_certain = at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY
-    local, fitted, weighed = _most_probable(local, fitted, gap_certain, settle, partial(_weighed, shifts=shifts))
+    weigh = partial(_weighed, shifts=shifts)
+    local, fitted, weighed = _outdone(*_most_probable(local, fitted, gap_certain, settle, weigh), settle, weigh)
     by_model = weighed.probability.sum(axis=0)
     by_set = local.by_effects(weighed.models, by_model)
     order = sorted(by_set, key=lambda key: -by_set[key])
@@ -297,8 +298,7 @@ def _most_probable(
         most_probable = max(by_set, key=lambda key: by_set[key])
         if most_probable in visited:
             turns = list(visited)[list(visited).index(most_probable) :]
-            found = visited[min(turns, key=lambda name: (len(name), -visited[name][2].current_weight))]
-            return _outdone(*found, settle, weigh)
+            return visited[min(turns, key=lambda name: (len(name), -visited[name][2].current_weight))]
         moved = settle(local.with_current(local.best_form(most_probable, weighed.models, weighed.probability)), fitted)
         if moved is None:
             return visited[own]
@@ -366,10 +366,11 @@ def _outdone(
         for _ in range(_MAX_FORM_CHANGES):
             if moved is None:
                 break
-            about = weigh(moved[0])
-            if about.current_weight > best[2].current_weight:
+            about, names = weigh(moved[0]), moved[0].current_effects
+            by_set = moved[0].by_effects(about.models, about.probability.sum(axis=0))
+            if by_set[names] == max(by_set.values()) and about.current_weight > best[2].current_weight:
                 best = (*moved, about)
-            form = moved[0].best_form(moved[0].current_effects, about.models, about.probability)
+            form = moved[0].best_form(names, about.models, about.probability)
             if form == moved[0].current:
                 break
             moved = settle(moved[0].with_current(form), fitted)

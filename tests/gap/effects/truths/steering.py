@@ -85,6 +85,13 @@ def _(run: Run, now: Motion) -> None:
     now.steer_error_rad = np.interp(middle - 0.28, middle, now.steer_rad) - now.steer_rad
 
 
+# a command: the wheel follows it later, and stood straight before
+@case("steering_delay", "about -0.3 s", -0.28, runs=WINDING, within=5e-2)
+def _(run: Run, now: Motion) -> None:
+    middle = now.t_s - 0.5 * now.dt_s
+    now.steer_error_rad = np.interp(middle + 0.28, middle, now.steer_rad) - now.steer_rad
+
+
 # counts that slipped already are multiplied by the slip again: slip squared
 @case("drive_slip", "by the force, rolling", 1e-2, runs=LOGGED, within=2e-2)
 def _(run: Run, now: Motion) -> None:
