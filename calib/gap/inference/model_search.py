@@ -33,6 +33,8 @@ REPORTED_GAP_PROBABILITY: Final = 0.3
 #: sets taken as current, one after the other
 _MAX_SET_CHANGES: Final = 5
 _MAX_FORM_CHANGES: Final = 3
+#: log evidence that an effect gains about its own path where that of another does not do for it
+_NONLINEAR: Final = 1.0
 #: beside a larger lack of fit the search begins anew
 _SMALL_LACK_OF_FIT: Final = 1.0
 #: rms residual, in noise levels, beyond which no search begins: the largest scale of lack of fit but one
@@ -361,14 +363,16 @@ def _outdone(
         model for model, names in zip(likely, named, strict=True) if len(names) == len(own) == len(own & names) + 1
     ]
     for other in others[:_SINGLE_STARTS]:
-        moved = settle(local.with_current(other), fitted)
+        here = local.with_current(other)
+        linear, moved = here.evidence(), settle(here, fitted)
         # about its own path another form of it may be better
         for _ in range(_MAX_FORM_CHANGES):
             if moved is None:
                 break
             about, names = weigh(moved[0]), moved[0].current_effects
             by_set = moved[0].by_effects(about.models, about.probability.sum(axis=0))
-            if by_set[names] == max(by_set.values()) and about.current_weight > best[2].current_weight:
+            likeliest = by_set[names] == max(by_set.values()) and about.current_weight > best[2].current_weight
+            if likeliest and moved[0].evidence() > linear + _NONLINEAR:
                 best = (*moved, about)
             form = moved[0].best_form(names, about.models, about.probability)
             if form == moved[0].current:
