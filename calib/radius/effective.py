@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.checks.measurements import off_line
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
 from calib.errors import BadFileError, RefusedError
@@ -104,6 +105,11 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
     runs, notes = campaign.runs, []
     loads = {side: runs.number(f"load_{side}_N") for side in ("left", "right")}
     if need_load and not any(np.isfinite(load).any() for load in loads.values()):
+        if (payload := np.nanmax(runs.number("payload_kg"), initial=0.0)) > 0.0:
+            raise RefusedError(
+                f"{campaign.root or campaign.name}: found payloads of up to {payload:g} kg and no wheel load; expected "
+                "their place: add payload_x_m and payload_y_m, or load_left_N and load_right_N, to runs.csv"
+            )
         unladen = campaign.vehicle.unladen_load_N
         notes.append(
             f"No run has wheel loads or a payload: all are taken as unladen ({unladen:.0f} N a wheel), which "
@@ -111,8 +117,8 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
         loads = {side: np.full(len(runs), unladen) for side in loads}
     turn = _apparent_turn_rad(campaign)
-    # a wrong counts_per_rev turns every run by the same angle: a note, no reason to drop them all
-    usual = np.nanmedian(turn) if np.isfinite(turn).any() else 0.0
+    # a wrong counts_per_rev turns every run by the same angle, loads by what the radii differ: no reason to drop them
+    unusual = off_line(loads["left"] - loads["right"], turn)
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
     straight |= not straight.any()
@@ -129,9 +135,9 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
             counts["left"] * counts["right"] < 0,
             "has counts of opposite sign: one encoder runs backwards, or the vehicle turned on the spot",
         ),
-        (need_load & ~(np.isfinite(loads["left"]) & np.isfinite(loads["right"])), "has no wheel load and no payload"),
+        (need_load & ~np.isfinite(loads["left"] + loads["right"]), "has no wheel load and no payload with its place"),
         (
-            ((np.abs(turn) > STRAIGHT_TURN_RAD) & (np.abs(turn - usual) > STRAIGHT_TURN_RAD))
+            ((np.abs(turn) > STRAIGHT_TURN_RAD) & (np.abs(unusual) > STRAIGHT_TURN_RAD))
             | (np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD),
             "is not a straight run: its heading changed too much",
         ),
