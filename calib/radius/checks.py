@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.special import fdtrc, stdtr
+from scipy.special import fdtrc, stdtr, stdtrit
 
-from calib.campaign.checks.design import in_order
+from calib.campaign.checks.design import HIDING, along_load
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
-from calib.radius.sessions import Groups, breusch_pagan, groups_of
+from calib.radius.sessions import Groups, breusch_pagan, groups_of, partial_slope
 from calib.types import FloatArray, StrArray
 
 #: p-values below which a check gives a note, and the law should not be used; with some nine checks a wheel the usual
@@ -39,6 +39,7 @@ class _Residuals:
     x: FloatArray
     residual_m: FloatArray
     dof: float
+    session: StrArray
     direction: StrArray
     run_id: StrArray
     #: indicator columns of the sessions; a constant where there is one session or one run a session
@@ -51,7 +52,7 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
     residual = groups.within(fit.residual_m) if 2 <= len(groups) < n else fit.residual_m - fit.residual_m.mean()
     sessions = groups.indicators
     dof = float(n - sessions.shape[1] - (fit.model == "line" and fit.design != "confounded"))
-    runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, direction, run_id, sessions)
+    runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, session, direction, run_id, sessions)
     checks = [_design(fit, groups), _session(fit, groups), _order(fit, session)]
     if fit.model == "line":
         checks += [_range(fit), _lack_of_fit(runs), _curvature(runs), _equal_scatter(runs)]
@@ -182,9 +183,10 @@ def _influence(runs: _Residuals) -> Check | None:
         f"repeat it.{found}",
     )
     name = f"largest studentised residual of {n}"
-    # of the law's variance without the run; what moves it by less leaves it usable
+    # squared over the law's variance without the run: where it stays in the others' interval, its own holds the truth
     moved = (1 + (runs.fit.model == "line")) * float(runs.fit.cook[worst]) * runs.fit.residual_std_m**2 / others[worst]
-    return tested("influence", studentised[worst], name, p_value, sentences, fails=moved > 1.0)
+    fails = moved > float(stdtrit(dof - 1, 0.975)) ** 2
+    return tested("influence", studentised[worst], name, p_value, sentences, fails=fails)
 
 
 def _normality(runs: _Residuals) -> Check | None:
@@ -203,26 +205,24 @@ def _normality(runs: _Residuals) -> Check | None:
 
 
 def _direction(runs: _Residuals) -> Check | None:
-    side = 1.0 * (np.char.lower(runs.direction) == "out") - (np.char.lower(runs.direction) == "back")
-    known, dof = side != 0.0, runs.dof - 1
-    columns, sessions = np.stack([side, runs.x, runs.residual_m], axis=1)[known], runs.sessions[known]
-    within, load, residual = (columns - sessions @ np.linalg.lstsq(sessions, columns)[0]).T
-    across = within - load * float(load @ within) / max(float(load @ load), 1e-300)
-    squares, loads = float(across @ across), [runs.fit.load_N[sign * side > 0] for sign in (1, -1)]
-    half = float(across @ residual) / max(squares, 1e-300)
-    pooled = float(np.sum((residual - half * across) ** 2)) / max(dof, 1.0)
-    if min(map(len, loads)) < 3 or dof < 3 or pooled <= 0.0 or np.ptp(within) < ROUNDING:
+    way, fit = np.char.lower(runs.direction), runs.fit
+    side = np.where(way == "out", 1.0, np.where(way == "back", -1.0, np.nan))
+    loads = [fit.load_N[side == sign] for sign in (1.0, -1.0)]
+    if min(map(len, loads)) < 3:
         return None
-    if squares < ALIASED * float(within @ within):
+    fitted = fit.fitted(runs.session, np.isfinite(side))
+    half, sd, dof = partial_slope(fit.residual_m, side, fitted, ROUNDING, 3)
+    if beside_load(fit, side, runs.session)[0] ** 2 > 1.0 - ALIASED:
         of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
         return Check("direction", FAILED, f"{of} holds what one direction does; drive each load both ways.")
-    statistic = half * np.sqrt(squares / pooled)
+    if sd <= 0.0 or np.isinf(sd):
+        return None
     sentences = (
         "Out and back give the same radius.",
         f"Radii driven out are {UM * 2.0 * half:+.1f} um from those driven back: a zero error of the rangefinder, "
         "a sloping floor or drag in one direction; as many runs out as back cancel it, keep it so.",
     )
-    return tested("direction", statistic, f"t({dof:.0f})", p_of_t(statistic, dof), sentences)
+    return tested("direction", half / sd, f"t({dof:.0f})", p_of_t(half / sd, dof), sentences)
 
 
 def _range(fit: WheelFit) -> Check:
@@ -321,29 +321,33 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
     return Check("design", level, sentence + few)
 
 
+def beside_load(fit: WheelFit, values: FloatArray, session: StrArray) -> tuple[float, float]:
+    """Return `along_load` of a covariate where the slope comes from: within sessions, or over all runs."""
+    of = session if fit.design in {"crossed", "mixed"} else np.full(len(values), "")
+    return along_load(fit.load_N, values, of) if fit.model == "line" else (0.0, 0.0)
+
+
 def _order(fit: WheelFit, session: StrArray) -> Check | None:
-    found = fit.autocorrelation
-    sloped = fit.model == "line" and fit.design != "confounded"
-    ordered, drift = sloped and in_order(fit.load_N, session), "Runs that follow each other scatter independently."
-    if ordered:
-        drift = (
+    found, sloped = fit.autocorrelation, fit.model == "line" and fit.design != "confounded"
+    apart, level = "Runs that follow each other scatter independently.", OK
+    if sloped and beside_load(fit, np.arange(float(len(session))), session)[0] ** 2 > HIDING:
+        level = NOTE
+        apart = (
             "Within the sessions the loads rise or fall with the order driven: what drifts there (warming up, wear) "
             "looks like load, and no interval holds it; drive the loads in random order."
         )
     if found is None or found.p_value == 1.0:
-        return Check("order", NOTE, drift) if ordered else None
-    common = f"Runs that follow each other scatter alike (correlation about {found.rho:.2g})"
-    widened = sloped and found.slope_ratio > MAX_SLOPE_WIDENING
-    alike = f"{common}: the intervals allow for it; let the wheels warm up, and drive the loads in random order."
-    if widened:
-        alike = (
-            f"{common}, and the loads follow the order driven: what lasts from run to run looks like load. The "
-            f"intervals are {found.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads "
-            "in random order."
-        )
-    name = "lag-one autocorrelation"
-    check = tested("order", found.lag_one, name, found.p_value, (drift, alike), fails=widened)
-    return replace(check, level=NOTE) if ordered and check.level == OK else check
+        return Check("order", level, apart) if level == NOTE else None
+    fails = sloped and found.slope_ratio > MAX_SLOPE_WIDENING
+    alike = f"Runs that follow each other scatter alike (correlation about {found.rho:.2g})"
+    alike += (
+        f", and the loads follow the order driven: what lasts from run to run looks like load. The intervals are "
+        f"{found.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads in random order."
+        if fails
+        else ": the intervals allow for it; let the wheels warm up, and drive the loads in random order."
+    )
+    check = tested("order", found.lag_one, "lag-one autocorrelation", found.p_value, (apart, alike), fails=fails)
+    return replace(check, level=level) if check.level == OK else check
 
 
 def _session(fit: WheelFit, groups: Groups) -> Check | None:

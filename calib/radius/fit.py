@@ -12,15 +12,26 @@ from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.checks.design import HIDING, assumed_settings, listed
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
+from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadInputError, ImplausibleError, RefusedError
 from calib.radius import effective
-from calib.radius.checks import FAIL_BELOW, MAX_CELLS, NOTE_BELOW, UM, p_of_t, tested, with_checks, without_loads
+from calib.radius.checks import (
+    FAIL_BELOW,
+    MAX_CELLS,
+    NOTE_BELOW,
+    UM,
+    beside_load,
+    p_of_t,
+    tested,
+    with_checks,
+    without_loads,
+)
 from calib.radius.effective import EffectiveRadii, effective_radii
-from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, fit_wheel, t_quantile
+from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, fit_wheel, t_quantile
 from calib.radius.result import PLAUSIBLE, Fit, Setup
-from calib.radius.sessions import groups_of
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.radius.sessions import groups_of, partial_slope
+from calib.types import FloatArray, IntArray, StrArray
 
 #: largest reference load over the largest driven; further out the line has no digits left
 MAX_REFERENCE_RATIO: Final = 1e4
@@ -106,6 +117,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     static, notes = _static(campaign, reference)
     stated = (campaign.vehicle, campaign.encoder, campaign.model, campaign.rangefinder, campaign.reference)
     driven = {name: column for name in CONDITIONS if np.isfinite(column := used.number(name)).any()}
+    unweighed = {} if given else dict.fromkeys(WHEEL_LOADS, f"{fit.left.law.reference_load_N:.4g} N")
     conditions = {name: (float(np.nanmin(column)), float(np.nanmax(column))) for name, column in driven.items()}
     return replace(
         fit,
@@ -114,7 +126,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         radii=replace(fit.radii, budget=(*fit.radii.budget, *effective.systematic_components(wheels, radii, sources))),
         static=static,
         notes=(*notes_for_results(campaign), *fit.notes, *notes),
-        setup=Setup(*stated, conditions, assumed_settings(campaign)),
+        setup=Setup(*stated, conditions, assumed_settings(campaign) | unweighed),
     )
 
 
@@ -171,20 +183,11 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, runs: StrArray, *, 
 
 def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatArray, session: StrArray) -> WheelFit:
     """Return `fit` with two more checks; `std_m`: of each radius by the instruments; shape (n_runs,) all."""
-    std, fitted = np.nan_to_num(std_m), _fitted(fit, session)
+    std, fitted = np.nan_to_num(std_m), fit.fitted(session)
     checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
     if not any(check.level == FAILED and check.name in EXPLAINED_BY for check in checks):
         checks += _scatter(fit, std, session)
     return replace(fit, checks=tuple(checks))
-
-
-def _fitted(fit: WheelFit, session: StrArray, known: BoolArray | slice = slice(None)) -> FloatArray:
-    """Return orthonormal columns (n_known, k) of sessions and load."""
-    base, load = groups_of(session[known]).indicators, fit.load_N[known]
-    if fit.model == "line" and fit.design != "confounded":
-        base = np.column_stack((base, load / load.max()))
-    u, size, _ = np.linalg.svd(base, full_matrices=False)
-    return np.asarray(u[:, size > 1e-10 * size[0]])
 
 
 def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: FloatArray) -> Iterator[Check]:
@@ -218,7 +221,7 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
 
 def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Check]:
     std_m = np.nan_to_num(std_m)
-    dof = len(std_m) - _fitted(fit, session).shape[1]
+    dof = len(std_m) - fit.fitted(session).shape[1]
     stated, scatter = float(np.sqrt(np.mean(std_m**2))), fit.run_std_m
     if dof < MIN_SLOPE_DOF or stated <= 0.0:
         return
@@ -265,29 +268,24 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     taken off both first.
     """
     known = np.isfinite(temperature_C)
-    if not known.any() or np.ptp(temperature_C[known]) < MIN_SPAN_K:
+    if not known.any() or (span := float(np.ptp(temperature_C[known]))) < MIN_SPAN_K:
         return fit
-    fitted, span = _fitted(fit, session, known), np.ptp(temperature_C[known])
-    columns = (fit.residual_m, temperature_C)
-    residual, warmth = (column[known] - fitted @ (fitted.T @ column[known]) for column in columns)
-    dof, squares = len(residual) - fitted.shape[1] - 1, float(warmth @ warmth)
-    shown = dof >= MIN_SLOPE_DOF and np.sqrt(squares / len(warmth)) >= 0.1 * MIN_SPAN_K
-    slope = float(warmth @ residual) / squares if shown else 0.0
-    sd = float(np.sqrt(np.sum((residual - slope * warmth) ** 2) / dof / squares)) if shown else np.inf
+    fitted, least = fit.fitted(session, known), 0.1 * MIN_SPAN_K
+    slope, sd, dof = partial_slope(fit.residual_m, temperature_C, fitted, least, MIN_SLOPE_DOF)
     if sd <= 0.0:
         return fit
-    statistic, limit = slope / sd, abs(slope) + sd * float(t_quantile(max(dof, 1)))
-    p_value, usual = p_of_t(statistic, max(dof, 1)), USUAL_PER_K * fit.law.radius_ref_m
-    with_load, moved = _along_load(fit, session, temperature_C, known)
-    hidden = limit > usual and with_load**2 > HIDING and usual * moved > float(fit.law.std_of((0.0, 1.0)))
-    if hidden and p_value >= FAIL_BELOW:
+    statistic, limit = slope / sd, abs(slope) + sd * float(t_quantile(dof))
+    p_value, usual = p_of_t(statistic, dof), USUAL_PER_K * fit.law.radius_ref_m
+    with_load, per_N = beside_load(fit, temperature_C, session)
+    moved = usual * abs(per_N)
+    if limit > usual and p_value >= FAIL_BELOW and with_load**2 > HIDING and moved > fit.law.std_of((0.0, 1.0)):
         text = (
             f"Load and temperature go together (correlation {with_load:+.2f}, {span:.0f} K): {UM * usual:.2g} um/K, "
-            f"which is usual, may not show, and moves the slope by {UM * usual * moved:.2g} um/N, which no interval "
-            "holds; drive light and heavy on one warm and one cold day."
+            f"which is usual, may not show, and moves the slope by {UM * moved:.2g} um/N, which no interval holds; "
+            "drive light and heavy on one warm and one cold day."
         )
         return replace(fit, checks=(*fit.checks, Check("temperature", FAILED, text)))
-    if not shown:
+    if np.isinf(sd):
         return fit
     sentences = (
         f"The radius follows the temperature by no more than {UM * limit:.2g} um/K, if at all.",
@@ -295,19 +293,8 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
         "alone is off by that on a warmer or colder day; 'calib diagnose' says whether it is the temperature or "
         "something that correlates with it, and corrects it.",
     )
-    check = tested("temperature", statistic, f"t({dof})", p_value, sentences, fails=True)
+    check = tested("temperature", statistic, f"t({dof:.0f})", p_value, sentences, fails=True)
     return replace(fit, checks=(*fit.checks, check))
-
-
-def _along_load(fit: WheelFit, session: StrArray, values: FloatArray, known: BoolArray) -> tuple[float, float]:
-    """Return the correlation of a covariate with the load, where the slope comes from, and its change per newton."""
-    if fit.model != "line":
-        return 0.0, 0.0
-    means = groups_of(session[known] if fit.design != "confounded" else np.full(int(known.sum()), "")).indicators
-    columns = np.column_stack((fit.load_N, values))[known]
-    load, own = (columns - means @ np.linalg.lstsq(means, columns)[0]).T
-    size = float(np.linalg.norm(load) * np.linalg.norm(own))
-    return (float(load @ own) / size, abs(float(load @ own)) / float(load @ load)) if size > 0.0 else (0.0, 0.0)
 
 
 def held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
@@ -368,6 +355,8 @@ def _other_reading(radii: EffectiveRadii) -> str:
     stated = _squares(loads[None], radius[None], days, np.zeros(n))[0]
     found = []
     for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
+        # of two alike the stated one
+        other = np.where(np.abs(other - loads) < SAME_LOAD, loads, other)
         options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
         # all of them, or those of a session
         starts = [np.zeros(n), np.ones(n), *days.T[:MAX_CELLS]]
@@ -402,16 +391,13 @@ def _squares(loads: FloatArray, radius: FloatArray, days: FloatArray, start: Flo
     `loads`, `radius`: of each option, shape (n_options, n, 2); `days`: indicators, shape (n, n_sessions).
     """
     runs, chosen = np.arange(loads.shape[1]), start.astype(np.int64)
-    # at last another reading of a run than the stated one has to be worth its choice among all
-    for worth in (0.0, np.log(loads.shape[1] * len(loads))):
-        for _ in range(ROUNDS):
-            squares = np.zeros(loads.shape[:2])
-            for x, y in zip(np.moveaxis(loads, 2, 0), np.moveaxis(radius, 2, 0), strict=True):
-                columns = np.column_stack((days, x[chosen, runs]))
-                *shifts, slope = np.linalg.lstsq(columns, y[chosen, runs], rcond=None)[0]
-                squares += (y - days @ shifts - slope * x) ** 2
-            price = worth * squares.min(axis=0).mean() * (np.arange(len(loads)) > 0)
-            before, chosen = chosen, np.argmin(squares + price[:, None], axis=0)
-            if (chosen == before).all():
-                break
+    for _ in range(ROUNDS):
+        squares = np.zeros(loads.shape[:2])
+        for x, y in zip(np.moveaxis(loads, 2, 0), np.moveaxis(radius, 2, 0), strict=True):
+            columns = np.column_stack((days, x[chosen, runs]))
+            *shifts, slope = np.linalg.lstsq(columns, y[chosen, runs], rcond=None)[0]
+            squares += (y - days @ shifts - slope * x) ** 2
+        before, chosen = chosen, np.argmin(squares, axis=0)
+        if (chosen == before).all():
+            break
     return float(squares[before, runs].sum()), before

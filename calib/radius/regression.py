@@ -17,7 +17,7 @@ from calib.errors import RefusedError
 from calib.radius import sessions
 from calib.radius.law import JOINT, UPPER, LineEstimate, RadiusLaw, WheelLaw
 from calib.radius.sessions import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
-from calib.types import FloatArray, IntArray, floats
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
 if TYPE_CHECKING:
     from statsmodels.regression.linear_model import RegressionResults
@@ -171,6 +171,11 @@ class WheelFit:
     def _band(self, load_N: ArrayLike, *, single_run: bool) -> tuple[FloatArray, FloatArray]:
         centre, half = self.law.radius_m(load_N), self.law.half_width_m(load_N, single_run=single_run)
         return centre - half, centre + half
+
+    def fitted(self, session: StrArray, known: BoolArray | slice = slice(None)) -> FloatArray:
+        """Return orthonormal columns (n_known, k) of sessions and, where these do not hold it, load."""
+        told = self.design not in {"constant", "confounded"}
+        return sessions.fitted_columns(session[known], self.load_N[known] if told else None)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values; the contract's keys first."""

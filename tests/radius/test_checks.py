@@ -225,11 +225,11 @@ def test_sound_radii_give_a_note_as_often_as_stated() -> None:
     assert sum(check is not None and check.level != OK for check in checks) <= 11
 
 
-def test_a_temperature_that_follows_the_load_is_noted() -> None:
+def test_a_temperature_that_follows_the_load_fails() -> None:
     """The slope takes up what the temperature does, however little else of it is left to test."""
     for span_K in (0.0, 1.0):
         check = temperature_check(np.random.default_rng(3), PER_K, span_K=span_K, with_load=0.01)
-        assert check is not None and check.level == NOTE and "go together" in check.sentence
+        assert check is not None and check.level == FAILED and "go together" in check.sentence
 
 
 def test_temperatures_that_differ_between_sessions_alone_are_not_checked() -> None:

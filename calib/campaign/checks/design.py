@@ -159,8 +159,8 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
         yield Note("suspicious" if set(WEIGHTY) & set(keys) else "info", "campaign.toml", text, "assumed")
 
 
-#: share of a covariate's squares that goes with the load, beyond which an effect of it that stays within its own
-#: interval may move the slope by more than the slope's
+#: squared correlation of a covariate with the load, beyond which an effect of it that stays within its own interval
+#: moves the slope by more than the slope's
 HIDING: Final = 0.5
 #: runs that carry a law
 FEWEST_OF_A_LAW: Final = 3
@@ -187,20 +187,21 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
         text = """all runs are of one session, so that what shifts from session to session cannot be told: 'calib fit'
             holds such a law doubtful; drive two loads or more in another session"""
         yield column_note("session", text, "one_session")
-    if any(in_order(load, campaign.runs.label("session")) for load in both_sides(campaign, "load_{}_N")):
+    session, order = campaign.runs.label("session"), np.arange(float(len(label)))
+    if any(along_load(load, order, session)[0] ** 2 > HIDING for load in both_sides(campaign, "load_{}_N")):
         text = """the loads rise or fall with the order driven, so that a drift within the session (warming up, wear)
             and the effect of the load cannot be told apart; drive some loads again at the end, or in mixed order"""
         yield column_note("order and load", text, "ordered_load")
 
 
-def in_order(load_N: FloatArray, session: StrArray) -> bool:
-    """Return whether loads of runs in the order driven, shape (n_runs,), rise or fall with it within their sessions."""
-    known = np.isfinite(load_N)
-    columns = np.stack((load_N[known], np.arange(len(load_N))[known]))
+def along_load(load_N: FloatArray, values: FloatArray, session: StrArray) -> tuple[float, float]:
+    """Return a covariate's correlation with the load within sessions and its change per newton; shape (n_runs,) all."""
+    known = np.isfinite(load_N + values)
+    columns = np.stack((load_N, values))[:, known]
     for _, of in groups_of(session[known]) if known.any() else ():
         columns[:, of] -= columns[:, of].mean(axis=1, keepdims=True)
-    size = float(np.prod(np.sum(columns**2, axis=1)))
-    return float(columns[0] @ columns[1]) ** 2 > HIDING * size
+    (square, both), (_, own) = (columns @ columns.T).tolist()
+    return (both / math.sqrt(square * own), both / square) if square * own > 0.0 else (0.0, 0.0)
 
 
 #: squared correlation beyond which two columns are one: both effects' intervals are five times as wide

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -166,12 +167,12 @@ def assumed_note(file: CoefficientFile) -> tuple[str, ...]:
     """Return which numbers of the file were neither measured nor stated, as one sentence; nothing without any."""
     values = []
     for place in file.assumed:
-        section, _, name = place.partition(".")
-        quantity = getattr(getattr(file, section), name)
+        quantity = attrgetter(place)(file)
         values.append(f"{place} {quantity.value:g} {quantity.unit}")
     if not values:
         return ()
-    return (f"assumed, not measured: {', '.join(values)}; 'calib geometry' and 'calib export --to nav2' measure them",)
+    text = f"assumed, not measured: {', '.join(values)}; 'calib geometry' and 'calib export --to nav2' measure them"
+    return (f"{text}, wheel loads in runs.csv the reference loads" if "reference_load" in text else text,)
 
 
 def accepted_lines(file: CoefficientFile) -> list[str]:
