@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
-from calib.campaign.checks.design import HIDING, along_load
+from calib.campaign.checks.design import HIDING, along_load, partial_slope
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
-from calib.radius.sessions import Groups, breusch_pagan, groups_of, partial_slope
+from calib.radius.sessions import Groups, breusch_pagan, groups_of
 from calib.types import FloatArray, StrArray
 
 #: p-values below which a check gives a note, and the law should not be used; with some nine checks a wheel the usual
@@ -124,20 +124,15 @@ def _with_other_load(runs: _Residuals, *, several: bool) -> str:
 
 
 def _curvature(runs: _Residuals) -> Check | None:
-    z, y = runs.x / np.ptp(runs.x), runs.fit.residual_m * UM
-    base, square = np.column_stack((runs.sessions, z)), z**2
+    z, y, base = runs.x / np.ptp(runs.x), runs.fit.residual_m * UM, runs.fit.fitted(runs.session)
+    square = z**2
     if runs.fit.design == "confounded":
         weight = np.sqrt(runs.groups.sizes)
         z, y = runs.groups.means(z), runs.groups.means(y) * weight
         base, square = np.column_stack((np.ones_like(z), z)) * weight[:, None], z**2 * weight
-    projected = square - base @ np.linalg.lstsq(base, square, rcond=1e-10)[0]
-    norm = float(projected @ projected)
-    full, rank = _squares(np.column_stack((base, square)), y)
-    dof = len(y) - rank
-    if norm <= 1e-9 * float(square @ square) or dof < 1 or full <= 0:
+    bend, sd, dof = partial_slope(y, square, base, 3e-5 * float(np.sqrt(np.mean(square**2))), 1)
+    if sd <= 0.0 or np.isinf(sd):
         return None
-    bend = float(projected @ y) / norm
-    statistic = bend / np.sqrt(full / dof / norm)
     # a parabola over the whole span departs from its chord by a quarter of its coefficient
     sag = abs(bend) / 4
     sentences = (
@@ -145,7 +140,7 @@ def _curvature(runs: _Residuals) -> Check | None:
         f"The radius bends by about {sag:.2g} um in the middle of the load range: a straight law is that far off "
         "there; narrow the load range, or use a look-up table of measured loads.",
     )
-    return tested("curvature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)
+    return tested("curvature", bend / sd, f"t({dof:.0f})", p_of_t(bend / sd, dof), sentences, fails=True)
 
 
 def _equal_scatter(runs: _Residuals) -> Check:
@@ -210,8 +205,8 @@ def _direction(runs: _Residuals) -> Check | None:
     loads = [fit.load_N[side == sign] for sign in (1.0, -1.0)]
     if min(map(len, loads)) < 3:
         return None
-    fitted = fit.fitted(runs.session, np.isfinite(side))
-    half, sd, dof = partial_slope(fit.residual_m, side, fitted, ROUNDING, 3)
+    known = np.isfinite(side)
+    half, sd, dof = partial_slope(fit.residual_m[known], side[known], fit.fitted(runs.session, known), ROUNDING, 3)
     if beside_load(fit, side, runs.session)[0] ** 2 > 1.0 - ALIASED:
         of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
         return Check("direction", FAILED, f"{of} holds what one direction does; drive each load both ways.")
@@ -383,16 +378,12 @@ def _against_naive(fit: WheelFit) -> str:
 def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
     if fit.model != "line" or not 3 <= len(groups) <= MAX_INFLUENCE_SESSIONS:
         return None
-    n = groups.sizes
+    others = groups.index != np.arange(len(groups))[:, None]
     x, y = fit.load_N - fit.load_N.mean(), fit.residual_m
-    moments = [np.bincount(groups.index, weights=w, minlength=len(groups)) for w in (x, y, x * x, x * y)]
-    sx, sy, sxx, sxy = (total.sum() - total for total in moments)
-    kept = n.sum() - n
-    spread = sxx - sx**2 / kept
-    usable = spread > 1e-6 * float(x @ x)
-    if not usable.any():
+    # one load alone has no slope
+    change = np.array([np.polyfit(x[of], y[of], 1)[0] if np.ptp(x[of]) > 1e-3 * np.ptp(x) else 0.0 for of in others])
+    if not change.any():
         return None
-    change = np.where(usable, (sxy - sx * sy / kept) / np.where(usable, spread, 1.0), 0.0)
     worst = int(np.argmax(np.abs(change)))
     half = float(fit.estimate.half_width((0.0, 1.0)))
     ratio = abs(float(change[worst])) / half if half > 0 else 0.0

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.campaign.check import implausible, notes_for_results
-from calib.campaign.checks.design import HIDING, assumed_settings, listed
+from calib.campaign.checks.design import HIDING, assumed_settings, listed, partial_slope
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS
@@ -30,7 +30,7 @@ from calib.radius.checks import (
 from calib.radius.effective import EffectiveRadii, effective_radii
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, fit_wheel, t_quantile
 from calib.radius.result import PLAUSIBLE, Fit, Setup
-from calib.radius.sessions import groups_of, partial_slope
+from calib.radius.sessions import groups_of
 from calib.types import FloatArray, IntArray, StrArray
 
 #: largest reference load over the largest driven; further out the line has no digits left
@@ -270,8 +270,8 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     known = np.isfinite(temperature_C)
     if not known.any() or (span := float(np.ptp(temperature_C[known]))) < MIN_SPAN_K:
         return fit
-    fitted, least = fit.fitted(session, known), 0.1 * MIN_SPAN_K
-    slope, sd, dof = partial_slope(fit.residual_m, temperature_C, fitted, least, MIN_SLOPE_DOF)
+    residual, least = fit.residual_m[known], 0.1 * MIN_SPAN_K
+    slope, sd, dof = partial_slope(residual, temperature_C[known], fit.fitted(session, known), least, MIN_SLOPE_DOF)
     if sd <= 0.0:
         return fit
     statistic, limit = slope / sd, abs(slope) + sd * float(t_quantile(dof))

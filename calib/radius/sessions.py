@@ -83,22 +83,6 @@ def fitted_columns(session: ArrayLike, load_N: FloatArray | None) -> FloatArray:
     return np.asarray(u[:, size > 1e-10 * size[0]])
 
 
-def partial_slope(
-    radius_m: FloatArray, values: FloatArray, fitted: FloatArray, least: float, least_dof: int
-) -> tuple[float, float, float]:
-    """Return radii's change with a covariate, NaN left out, its standard error and degrees of freedom.
-
-    0 and infinite where `fitted`, columns of the known runs, leave less than `least` of it, or few degrees of freedom.
-    """
-    known = np.isfinite(values)
-    residual, own = (column[known] - fitted @ (fitted.T @ column[known]) for column in (radius_m, values))
-    dof, square = len(own) - fitted.shape[1] - 1, float(own @ own)
-    if dof < least_dof or square < least**2 * len(own):
-        return 0.0, np.inf, 1.0
-    slope = float(own @ residual) / square
-    return slope, float(np.linalg.norm(residual - slope * own) / np.sqrt(dof * square)), float(dof)
-
-
 def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
     """Return the studentised Breusch-Pagan statistic (Koenker 1981) of residuals against `x`, and its p-value."""
     from statsmodels.stats.diagnostic import het_breuschpagan

@@ -17,6 +17,7 @@ from calib.campaign.checks.design import (
     robust_spread,
     turned_rad,
 )
+from calib.campaign.checks.measurements import off_line
 from calib.campaign.checks.poses import POSITION_UNITS
 from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS
@@ -160,8 +161,8 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     if len(usable) < 5:
         return
     ratio, loads = np.log(right[usable] / left[usable]), design.both_sides(campaign, "load_{}_N")[:, usable].T
-    fitted, spread = _robust_fit(ratio, loads)
-    spread = max(spread, 2e-5)
+    away = off_line(loads.sum(axis=1), off_line(loads[:, 0] - loads[:, 1], ratio))
+    fitted, spread = ratio - away, max(robust_spread(away), 2e-5)
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
     for at in np.flatnonzero(mirrored):
         alike = ~(np.abs(loads - loads[at]) > _ALIKE * loads[at]).any(axis=1)
@@ -171,24 +172,6 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
             runs; left and right look swapped; check this run (when it is ingested: swapped = [...] in the mapping's
             [log])"""
         yield cell_note(campaign, usable[at], "counts_left, counts_right", text, "swapped_wheels")
-
-
-def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
-    """Fit on the loads where they vary, outliers dropped in five rounds; fitted values and spread."""
-    regressors = np.ones((len(values), 1))
-    for load in loads.T:
-        if np.isfinite(load).all() and np.ptp(load) > 1.0:
-            candidate = np.column_stack([regressors, (load - load.mean()) / np.ptp(load)])
-            if np.linalg.matrix_rank(candidate, tol=1e-6 * len(values)) == candidate.shape[1] < len(values) / 3:
-                regressors = candidate
-    fitted = np.full(len(values), np.median(values))
-    for _ in range(5):
-        residual = values - fitted
-        keep = np.abs(residual - np.median(residual)) < 4 * max(robust_spread(residual), 1e-9)
-        if keep.sum() <= regressors.shape[1]:
-            break
-        fitted = regressors @ np.linalg.lstsq(regressors[keep], values[keep], rcond=None)[0]
-    return fitted, robust_spread(values - fitted)
 
 
 def turn_direction(campaign: Campaign) -> Iterator[Note]:

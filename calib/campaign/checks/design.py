@@ -92,6 +92,26 @@ def robust_spread(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
+def partial_slope(
+    measured: FloatArray, counted: FloatArray, nuisance: FloatArray, least: float = 0.0, least_dof: int = LEAST_RUNS
+) -> tuple[float, float, float]:
+    """Return the slope of `measured` over `counted` beside nuisance columns, its standard error, degrees of freedom.
+
+    0 and infinite where these leave `least` of it or less (root mean square), or fewer degrees of freedom.
+    """
+    regressors = nuisance / np.maximum(np.abs(nuisance).max(axis=0), 1e-300)
+    # loads may be collinear: any rank
+    both = np.column_stack([counted, measured])
+    explained, _, rank, _ = np.linalg.lstsq(regressors, both, rcond=1e-9)
+    counted, measured = (both - regressors @ explained).T
+    dof, square = len(measured) - int(rank) - 1, float(counted @ counted)
+    if dof < least_dof or square <= least**2 * len(counted):
+        return 0.0, math.inf, 1.0
+    slope = float(counted @ measured) / square
+    residual = measured - slope * counted
+    return slope, math.sqrt(float(residual @ residual) / dof / square), float(dof)
+
+
 def load_label(campaign: Campaign) -> StrArray:
     """Return a label of each run's load, shape (n_runs,): the payload and its place, else the loads to 5 N."""
     runs = campaign.runs
@@ -225,13 +245,11 @@ def columns_as_one(campaign: Campaign) -> Iterator[Note]:
         np.where(way == "out", 0.0, np.where(way == "back", 1.0, np.nan)),
     )
     for (one, a), (other, b) in combinations(zip(_CHANGED, values, strict=True), 2):
-        told = []
-        for _, of in groups_of(runs.label("kind") if other == "direction" else np.full(len(a), "")):
-            known = of[np.isfinite(a[of] + b[of])]
-            changed = np.ptp(a[known]) > _CHANGED[one] and np.ptp(b[known]) > _CHANGED[other] if len(known) else False
-            if len(known) >= LEAST_RUNS and changed:
-                told.append(np.corrcoef(a[known], b[known])[0, 1] ** 2)
-        if (one, other) != ("load", "order of the sessions") and min(told, default=0.0) > _AS_ONE:
+        known = np.isfinite(a + b)
+        if known.sum() < LEAST_RUNS or not (np.ptp(a[known]) > _CHANGED[one] and np.ptp(b[known]) > _CHANGED[other]):
+            continue
+        within = runs.label("kind") if other == "direction" else np.full(len(a), "")
+        if (one, other) != ("load", "order of the sessions") and along_load(a, b, within)[0] ** 2 > _AS_ONE:
             text = f"""{one} and {other} change together, so that no diagnosis tells apart what they do; drive some runs
                 that change one alone"""
             yield column_note(f"{one} and {other}", text, "columns_as_one")
