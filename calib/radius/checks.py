@@ -67,15 +67,15 @@ def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
 
 
 def _lack_of_fit(runs: _Residuals) -> Check | None:
-    if runs.fit.design == "confounded":
-        return None  # sessions and loads are one: see the check of sessions
     group = load_groups(runs.fit.load_N)
     n, levels = len(runs.x), int(group.max()) + 1
     if levels < 3:
         sentence = "With two loads any law runs through both: straightness cannot be tested; add a third load between."
         return Check("lack_of_fit", NOTE, sentence)
+    if runs.fit.design == "confounded":
+        return None  # sessions and loads are one: see the check of sessions
     y = runs.fit.residual_m * UM
-    line = np.column_stack((runs.sessions, runs.x / np.ptp(runs.x)))
+    line = runs.fit.fitted(runs.session)
     reduced, rank_reduced = _squares(line, y)
     full, rank_full = _squares(np.column_stack((line, np.eye(levels)[group])), y)
     dof_levels, dof = rank_full - rank_reduced, n - rank_full
@@ -96,13 +96,13 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
     """Return what load would explain what is furthest off the line; empty where others are off, or nobody has it."""
     fit, n = runs.fit, len(runs.x)
-    if fit.model != "line" or fit.design == "confounded":
+    if fit.design in {"constant", "confounded"}:
         return ""
     cells = runs.groups.index * n + load_groups(fit.load_N)
     alone = np.arange(n) == np.argmax(np.abs(runs.residual_m))
     members = np.column_stack([alone, *(cells == cell for cell in np.unique(cells)[:MAX_CELLS])])
     line = np.column_stack((runs.x, runs.sessions))
-    basis = np.linalg.qr(line)[0]
+    basis = fit.fitted(runs.session)
     own, residual = (part - basis @ (basis.T @ part) for part in (members, fit.residual_m))
     norm = np.maximum(np.sum(own**2, axis=0), 1e-9)
     gain, total = (residual @ own) ** 2 / norm, float(residual @ residual)
@@ -178,7 +178,7 @@ def _influence(runs: _Residuals) -> Check | None:
         f"repeat it.{found}",
     )
     name = f"largest studentised residual of {n}"
-    # squared over the law's variance without the run: where it stays in the others' interval, its own holds the truth
+    # where it moves the law within the others' interval, that with it holds the truth
     moved = (1 + (runs.fit.model == "line")) * float(runs.fit.cook[worst]) * runs.fit.residual_std_m**2 / others[worst]
     fails = moved > float(stdtrit(dof - 1, 0.975)) ** 2
     return tested("influence", studentised[worst], name, p_value, sentences, fails=fails)
@@ -272,18 +272,16 @@ def without_loads(wheel: WheelFit) -> WheelFit:
 
 
 def _design(fit: WheelFit, groups: Groups) -> Check:
-    loads = distinct_loads(fit.load_N)
-    few = " There are only two loads: whether the law is straight stays unknown." if loads == 2 else ""
     level, blank = NOTE, int(groups.sizes[groups.names == ""].sum())
     if len(groups) > 1 and blank:
         level = FAILED
         sentence = f"{blank} runs have no session and count as one: fill in the column session of runs.csv."
     elif fit.model == "constant":
-        few, sentence = "", _on_one_load(fit)
+        sentence = _on_one_load(fit)
     elif len(groups) == 1:
         sentence = ""
     elif len(groups) == len(fit.load_N):
-        level, sentence = NOTE if few else OK, "Every run is a session of its own: the runs are independent."
+        level, sentence = OK, "Every run is a session of its own: the runs are independent."
     elif fit.design == "confounded" and fit.estimate.design != "confounded":
         level = FAILED
         sentence = (
@@ -300,7 +298,7 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
     else:
         several = [name for at, name in enumerate(groups.names) if distinct_loads(fit.load_N[groups.index == at]) > 1]
         crossed = "crossed" if fit.design == "crossed" and len(several) == len(groups) else "partly crossed"
-        level = NOTE if few or len(several) == 1 else OK
+        level = NOTE if len(several) == 1 else OK
         sentence = f"The loads are {crossed} with the sessions: load and drift between sessions are told apart."
         if len(several) == 1:
             words = f"Session {several[0]} alone has more than one load: the slope is that of this day"
@@ -313,23 +311,23 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
             "scatter as much as runs they hold the truth in 60 % instead of 95 %); repeat some loads on another day."
         )
         sentence = f"{sentence} {one_session}".strip()
-    return Check("design", level, sentence + few)
+    return Check("design", level, sentence)
 
 
 def beside_load(fit: WheelFit, values: FloatArray, session: StrArray) -> tuple[float, float]:
-    """Return `along_load` of a covariate where the slope comes from: within sessions, or over all runs."""
+    """Return `along_load` of a covariate where the slope comes from."""
     of = session if fit.design in {"crossed", "mixed"} else np.full(len(values), "")
     return along_load(fit.load_N, values, of) if fit.model == "line" else (0.0, 0.0)
 
 
 def _order(fit: WheelFit, session: StrArray) -> Check | None:
-    found, sloped = fit.autocorrelation, fit.model == "line" and fit.design != "confounded"
+    found, sloped = fit.autocorrelation, fit.design not in {"constant", "confounded"}
     apart, level = "Runs that follow each other scatter independently.", OK
     if sloped and beside_load(fit, np.arange(float(len(session))), session)[0] ** 2 > HIDING:
         level = NOTE
         apart = (
             "Within the sessions the loads rise or fall with the order driven: what drifts there (warming up, wear) "
-            "looks like load, and no interval holds it; drive the loads in random order."
+            "looks like load, which no interval holds; drive the loads in random order."
         )
     if found is None or found.p_value == 1.0:
         return Check("order", level, apart) if level == NOTE else None

@@ -262,11 +262,7 @@ def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> Whe
 
 
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
-    """Return `fit` with the check against temperature, where these runs allow one.
-
-    `temperature_C` (NaN where not read), `session`: shape (n_runs,). Sessions, and what correlates with the load, are
-    taken off both first.
-    """
+    """Return `fit` with the check against temperature, shape (n_runs,), NaN where not read; see `partial_slope`."""
     known = np.isfinite(temperature_C)
     if not known.any() or (span := float(np.ptp(temperature_C[known]))) < MIN_SPAN_K:
         return fit
@@ -280,9 +276,8 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     moved = usual * abs(per_N)
     if limit > usual and p_value >= FAIL_BELOW and with_load**2 > HIDING and moved > fit.law.std_of((0.0, 1.0)):
         text = (
-            f"Load and temperature go together (correlation {with_load:+.2f}, {span:.0f} K): {UM * usual:.2g} um/K, "
-            f"which is usual, may not show, and moves the slope by {UM * moved:.2g} um/N, which no interval holds; "
-            "drive light and heavy on one warm and one cold day."
+            f"Load and temperature go together (correlation {with_load:+.2f}, {span:.0f} K): a usual {UM * usual:.2g} "
+            f"um/K may not show, and moves the slope by {UM * moved:.2g} um/N; drive light and heavy warm and cold."
         )
         return replace(fit, checks=(*fit.checks, Check("temperature", FAILED, text)))
     if np.isinf(sd):
@@ -337,8 +332,7 @@ def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
 def _other_reading(radii: EffectiveRadii) -> str:
     """Return the readings of the table that explain both wheels' radii best; empty where chance may be as good.
 
-    Scatter comes that near to another reading with a probability of the ratio of the squares to the power of half their
-    degrees of freedom (of one wheel), times the number of readings tried.
+    Chance: the ratio of the squares to the power of half their degrees of freedom (of one wheel), times the readings.
     """
     loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
     radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))

@@ -174,8 +174,11 @@ class WheelFit:
 
     def fitted(self, session: StrArray, known: BoolArray | slice = slice(None)) -> FloatArray:
         """Return orthonormal columns (n_known, k) of sessions and, where these do not hold it, load."""
-        told = self.design not in {"constant", "confounded"}
-        return sessions.fitted_columns(session[known], self.load_N[known] if told else None)
+        base, load = groups_of(session[known]).indicators, self.load_N[known]
+        if self.design not in {"constant", "confounded"}:
+            base = np.column_stack((base, load / load.max()))
+        u, size, _ = np.linalg.svd(base, full_matrices=False)
+        return np.asarray(u[:, size > 1e-10 * size[0]])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values; the contract's keys first."""

@@ -74,15 +74,6 @@ def groups_of(session: ArrayLike) -> Groups:
     return Groups(names=names[order], index=rank[inverse].astype(np.int64), sizes=sizes[order].astype(np.float64))
 
 
-def fitted_columns(session: ArrayLike, load_N: FloatArray | None) -> FloatArray:
-    """Return orthonormal columns (n_runs, k) of sessions and, where not None, loads."""
-    base = groups_of(session).indicators
-    if load_N is not None:
-        base = np.column_stack((base, load_N / load_N.max()))
-    u, size, _ = np.linalg.svd(base, full_matrices=False)
-    return np.asarray(u[:, size > 1e-10 * size[0]])
-
-
 def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
     """Return the studentised Breusch-Pagan statistic (Koenker 1981) of residuals against `x`, and its p-value."""
     from statsmodels.stats.diagnostic import het_breuschpagan

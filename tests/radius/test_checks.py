@@ -165,7 +165,7 @@ def test_two_loads_are_fitted_and_straightness_is_not_tested() -> None:
     fit = with_checks(fit, names, np.full(20, ""), np.array([str(run) for run in range(20)]))
     checks = {check.name: check for check in fit.checks}
     assert fit.model == "line"
-    assert "two loads" in checks["design"].sentence
+    assert "two loads" in checks["lack_of_fit"].sentence
     assert "third load" in checks["lack_of_fit"].sentence
 
 

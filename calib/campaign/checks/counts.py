@@ -17,7 +17,7 @@ from calib.campaign.checks.design import (
     robust_spread,
     turned_rad,
 )
-from calib.campaign.checks.measurements import off_line
+from calib.campaign.checks.measurements import factor_reason, off_line
 from calib.campaign.checks.poses import POSITION_UNITS
 from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS
@@ -102,8 +102,8 @@ def count_scale(campaign: Campaign) -> Iterator[Note]:
         if alike and abs(usual - 1) > _WORN and design.stated(campaign, "vehicle.wheel_radius_m"):
             odd = known
         if alike and odd.sum() > MOST_OF_THE_RUNS * known.sum():
-            reason = _reason(usual) or "check counts_per_rev, the wheel radius and the unit of the distance"
-            text = f"the {side} wheel's radius is {usual:.4g} times the nominal one in nearly every run; {reason}"
+            text = f"""the {side} wheel's radius is {usual:.4g} times the nominal one in nearly every run;
+                {factor_reason(usual)}"""
             yield column_note(f"counts_{side}", text, "count_scale")
             continue
         for run in np.flatnonzero(odd):
@@ -121,13 +121,8 @@ def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
                 counter give this; give encoder.wrap_bits = {bits} to have them undone"""
             return cell_note(campaign, run, f"counts_{side}", text, "wrapped_total")
     text = f"""found {total:.0f}, a radius {ratio:.4g} times the nominal one; expected about {expected:.0f};
-        {_reason(ratio) or "check the counts and the distance of this run"}"""
+        {factor_reason(ratio)}"""
     return cell_note(campaign, run, f"counts_{side}", text, "count_scale")
-
-
-def _reason(ratio: float) -> str:
-    reason = design.meaning(ratio)
-    return f"this looks like {reason}" if reason else ""
 
 
 def counts_against_log(campaign: Campaign) -> Iterator[Note]:
@@ -144,7 +139,7 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
             elif abs(found + log) <= allowed[run]:
                 hint, code = "the sign differs", "reversed_wheels"
             else:
-                hint = _reason(abs(log / found)) if found else ""
+                hint = design.meaning(abs(log / found)) if found else ""
                 hint, code = hint or "the log may be cut, or belong to another run", "counts_disagree"
             text = f"found {found:.0f} in the table but {log:.0f} in the log; {hint}"
             yield cell_note(campaign, run, f"counts_{side}", text, code)

@@ -179,8 +179,7 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
         yield Note("suspicious" if set(WEIGHTY) & set(keys) else "info", "campaign.toml", text, "assumed")
 
 
-#: squared correlation of a covariate with the load, beyond which an effect of it that stays within its own interval
-#: moves the slope by more than the slope's
+#: squared correlation with the load, beyond which what stays within a covariate's interval moves the slope beyond its
 HIDING: Final = 0.5
 #: runs that carry a law
 FEWEST_OF_A_LAW: Final = 3
@@ -209,13 +208,13 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
         yield column_note("session", text, "one_session")
     session, order = campaign.runs.label("session"), np.arange(float(len(label)))
     if any(along_load(load, order, session)[0] ** 2 > HIDING for load in both_sides(campaign, "load_{}_N")):
-        text = """the loads rise or fall with the order driven, so that a drift within the session (warming up, wear)
-            and the effect of the load cannot be told apart; drive some loads again at the end, or in mixed order"""
+        text = """the loads rise or fall with the order driven, so that warming up and the effect of the load cannot be
+            told apart; drive some loads again at the end, or in mixed order"""
         yield column_note("order and load", text, "ordered_load")
 
 
 def along_load(load_N: FloatArray, values: FloatArray, session: StrArray) -> tuple[float, float]:
-    """Return a covariate's correlation with the load within sessions and its change per newton; shape (n_runs,) all."""
+    """Return a covariate's correlation with the load within sessions, and its change per newton."""
     known = np.isfinite(load_N + values)
     columns = np.stack((load_N, values))[:, known]
     for _, of in groups_of(session[known]) if known.any() else ():

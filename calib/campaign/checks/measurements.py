@@ -211,10 +211,7 @@ def _slopes(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def off_line(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return `y` less its line in `x` by median slopes (Theil and Sen), shape (n,); NaN counts as the middle of `x`.
-
-    Of few runs, or one value of `x`, less the median.
-    """
+    """Return `y` less its line in `x` by median slopes (Theil and Sen), of few runs less the median."""
     known = np.isfinite(x + y)
     slopes = _slopes(x[known], y[known]) if known.sum() >= _LEAST_OF_A_LINE else np.zeros(0)
     line = np.median(slopes) * np.where(np.isnan(x), np.median(x[known]), x) if len(slopes) else np.zeros(len(x))

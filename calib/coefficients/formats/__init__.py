@@ -171,8 +171,7 @@ def assumed_note(file: CoefficientFile) -> tuple[str, ...]:
         values.append(f"{place} {quantity.value:g} {quantity.unit}")
     if not values:
         return ()
-    text = f"assumed, not measured: {', '.join(values)}; 'calib geometry' and 'calib export --to nav2' measure them"
-    return (f"{text}, wheel loads in runs.csv the reference loads" if "reference_load" in text else text,)
+    return (f"assumed, not measured: {', '.join(values)}; 'calib geometry' and 'calib export --to nav2' measure them",)
 
 
 def accepted_lines(file: CoefficientFile) -> list[str]:
