@@ -83,7 +83,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
         few = "Too few repeats at the same load to tell lack of fit from scatter; drive each load twice or more."
         return Check("lack_of_fit", NOTE, few)
     statistic = (reduced - full) / dof_levels / (full / dof)
-    p_value = _p_of_f(statistic, dof_levels, dof)
+    p_value = float(fdtrc(dof_levels, dof, max(statistic, 0.0)))
     found = _with_other_load(runs, several=True) if p_value < NOTE_BELOW else ""
     sentences = (
         "The straight line fits as well as the repeats at each load allow.",
@@ -94,7 +94,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
 
 
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
-    """Return what load would explain what is furthest off the line; empty where others are off, or nobody has it."""
+    """Return what load of others would explain what is furthest off the line; else empty."""
     fit, n = runs.fit, len(runs.x)
     if fit.design in {"constant", "confounded"}:
         return ""
@@ -129,7 +129,7 @@ def _curvature(runs: _Residuals) -> Check | None:
     if runs.fit.design == "confounded":
         weight = np.sqrt(runs.groups.sizes)
         z, y = runs.groups.means(z), runs.groups.means(y) * weight
-        base, square = np.column_stack((np.ones_like(z), z)) * weight[:, None], z**2 * weight
+        base, square = np.column_stack((weight, z * weight)), z**2 * weight
     bend, sd, dof = partial_slope(y, square, base, 3e-5 * float(np.sqrt(np.mean(square**2))), 1)
     if sd <= 0.0 or np.isinf(sd):
         return None
@@ -157,7 +157,7 @@ def _influence(runs: _Residuals) -> Check | None:
     total = float(runs.residual_m @ runs.residual_m)
     if dof < 3 or total <= 0:
         return None
-    slack = np.full(n, dof / n)
+    slack = dof / n
     # externally studentised
     others = np.maximum(total - runs.residual_m**2 / slack, 1e-12 * total) / (dof - 1)
     studentised = np.abs(runs.residual_m) / np.sqrt(others * slack)
@@ -178,9 +178,9 @@ def _influence(runs: _Residuals) -> Check | None:
         f"repeat it.{found}",
     )
     name = f"largest studentised residual of {n}"
-    # where it moves the law within the others' interval, that with it holds the truth
+    # within the others' interval the law with it holds the truth
     moved = (1 + (runs.fit.model == "line")) * float(runs.fit.cook[worst]) * runs.fit.residual_std_m**2 / others[worst]
-    fails = moved > float(stdtrit(dof - 1, 0.975)) ** 2
+    fails = moved > stdtrit(dof - 1, 0.975) ** 2
     return tested("influence", studentised[worst], name, p_value, sentences, fails=fails)
 
 
@@ -240,10 +240,6 @@ def tested(
     """
     level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
     return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
-
-
-def _p_of_f(statistic: float, dof_first: float, dof_second: float) -> float:
-    return float(fdtrc(dof_first, dof_second, max(statistic, 0.0)))
 
 
 def p_of_t(statistic: float, dof: float) -> float:
@@ -347,7 +343,7 @@ def _session(fit: WheelFit, groups: Groups) -> Check | None:
     estimate = fit.estimate
     if len(groups) < 2 or len(groups) == len(fit.load_N) or estimate.session_f is None or estimate.dof_between < 1:
         return None
-    p_value = _p_of_f(estimate.session_f, estimate.dof_between, estimate.dof_within)
+    p_value = float(fdtrc(estimate.dof_between, estimate.dof_within, estimate.session_f))
     width_ratio = _against_naive(fit)
     subject, cause = "Sessions differ", "temperature, a remounted rangefinder, wear"
     if estimate.design == "confounded":

@@ -114,7 +114,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
         loads = {side: np.full(len(runs), own_N) for side in loads}
     turn = turned_rad(campaign)
-    # a wrong counts_per_rev turns every run by the same angle, loads by what the radii differ: no reason to drop them
+    # a wrong counts_per_rev turns all runs alike, loads by what radii differ: no reason to drop them
     unusual = off_line(loads["left"] - loads["right"], turn)
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
@@ -162,8 +162,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     end, or measured amplitude and wavelength. Total counts never do: a steady arc and unequal radii leave the same
     difference, and correcting for it would make the radii equal.
 
-    Rows excluded, not straight, or without distance, counts or load are omitted and named. Raises RefusedError where no
-    run can be used.
+    Raises RefusedError where no run can be used.
     """
     campaign, left_out, notes = usable_runs(campaign)
     runs, track = campaign.runs, campaign.vehicle.track_m

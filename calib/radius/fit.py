@@ -1,6 +1,5 @@
 """From a campaign to the laws of both wheels, held against instruments, temperature and other readings of the table."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final
@@ -262,7 +261,7 @@ def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> Whe
 
 
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
-    """Return `fit` with the check against temperature, shape (n_runs,), NaN where not read; see `partial_slope`."""
+    """Return `fit` with the check against temperature, shape (n_runs,), NaN where not read."""
     known = np.isfinite(temperature_C)
     if not known.any() or (span := float(np.ptp(temperature_C[known]))) < MIN_SPAN_K:
         return fit
@@ -349,7 +348,6 @@ def _other_reading(radii: EffectiveRadii) -> str:
     stated = _squares(loads[None], radius[None], days, np.zeros(n))[0]
     found = []
     for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
-        # of two alike the stated one
         other = np.where(np.abs(other - loads) < SAME_LOAD, loads, other)
         options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
         # all of them, or those of a session
@@ -358,17 +356,17 @@ def _other_reading(radii: EffectiveRadii) -> str:
         for start in starts if len(other) == 1 else _starts(loads, radius, pairs):
             square, chosen = _squares(options, measured, days, start)
             log_p = 0.5 * dof * np.log(max(square, 1e-300) / stated) + n * np.log(len(options))
-            # one run exchanged, or all the others: so many have as many choices
-            choices = math.log(math.comb(n, np.count_nonzero(chosen)))
-            of_kind.append((log_p + choices, log_p, square, f"with {name} in {listed(radii.run_id[chosen > 0])}"))
+            # one run exchanged, or all the others: the fewer
+            fewer = log_p + np.log(n) * np.count_nonzero(chosen)
+            of_kind.append((fewer, log_p, square, f"with {name} in {listed(radii.run_id[chosen > 0])}"))
         found += [min(of_kind)[1:]] if min(of_kind)[1] < np.log(FAIL_BELOW) else []
     if not found:
         return ""
     best, square, _ = min(found)
     # what is not clearly worse may be it, too
-    alike = dict.fromkeys(words for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best)
+    alike = ", or ".join(words for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best)
     scatter = UM * np.sqrt(square / (2 * dof))
-    return f"read {', or '.join(alike)}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
+    return f"read {alike}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
 
 
 def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[FloatArray]:

@@ -43,9 +43,7 @@ FAILED: Final = "failed"
 class Check:
     """One check of a fit: a statistic, and its meaning and remedy in a sentence."""
 
-    #: stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
-    #: ``session_influence``, ``normality``, ``direction``, ``run_length``, ``scatter``, ``temperature``, ``path``,
-    #: ``range``, ``plausible``
+    #: stable, such as ``lack_of_fit``
     name: str
     #: ``ok``, ``note`` or ``failed``
     level: str
@@ -173,7 +171,7 @@ class WheelFit:
         return centre - half, centre + half
 
     def fitted(self, session: StrArray, known: BoolArray | slice = slice(None)) -> FloatArray:
-        """Return orthonormal columns (n_known, k) of sessions and, where these do not hold it, load."""
+        """Return orthonormal columns (n_known, k) of sessions, and of the load beside them."""
         base, load = groups_of(session[known]).indicators, self.load_N[known]
         if self.design not in {"constant", "confounded"}:
             base = np.column_stack((base, load / load.max()))

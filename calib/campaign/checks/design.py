@@ -97,7 +97,7 @@ def partial_slope(
 ) -> tuple[float, float, float]:
     """Return the slope of `measured` over `counted` beside nuisance columns, its standard error, degrees of freedom.
 
-    0 and infinite where these leave `least` of it or less (root mean square), or fewer degrees of freedom.
+    0 and infinite where these leave too little of it.
     """
     regressors = nuisance / np.maximum(np.abs(nuisance).max(axis=0), 1e-300)
     # loads may be collinear: any rank
