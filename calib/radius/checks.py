@@ -130,7 +130,7 @@ def _curvature(runs: _Residuals) -> Check | None:
         weight = np.sqrt(runs.groups.sizes)
         z, y = runs.groups.means(z), runs.groups.means(y) * weight
         base, square = np.column_stack((weight, z * weight)), z**2 * weight
-    bend, sd, dof = partial_slope(y, square, base, 3e-5 * float(np.sqrt(np.mean(square**2))), 1)
+    bend, sd, dof = partial_slope(y, square, base, 3e-5 * float(np.sqrt(np.mean(square**2))))
     if sd <= 0.0 or np.isinf(sd):
         return None
     # a parabola over the whole span departs from its chord by a quarter of its coefficient
@@ -206,7 +206,7 @@ def _direction(runs: _Residuals) -> Check | None:
     if min(map(len, loads)) < 3:
         return None
     known = np.isfinite(side)
-    half, sd, dof = partial_slope(fit.residual_m[known], side[known], fit.fitted(runs.session, known), ROUNDING, 3)
+    half, sd, dof = partial_slope(fit.residual_m[known], side[known], fit.fitted(runs.session, known), ROUNDING)
     if beside_load(fit, side, runs.session)[0] ** 2 > 1.0 - ALIASED:
         of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
         return Check("direction", FAILED, f"{of} holds what one direction does; drive each load both ways.")

@@ -266,7 +266,7 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     if not known.any() or (span := float(np.ptp(temperature_C[known]))) < MIN_SPAN_K:
         return fit
     residual, least = fit.residual_m[known], 0.1 * MIN_SPAN_K
-    slope, sd, dof = partial_slope(residual, temperature_C[known], fit.fitted(session, known), least, MIN_SLOPE_DOF)
+    slope, sd, dof = partial_slope(residual, temperature_C[known], fit.fitted(session, known), least)
     if sd <= 0.0:
         return fit
     statistic, limit = slope / sd, abs(slope) + sd * float(t_quantile(dof))

@@ -155,7 +155,7 @@ def test_one_wrong_row_is_named_alone() -> None:
 
 
 def test_a_straight_law_over_heavy_loads_is_no_scatter_and_no_turn() -> None:
-    """Radii that change by 6 % of a span, on both sides against each other: no run is left out, nothing is wrong."""
+    """Radii that change by 6 % of a span, on both sides against each other: no run is omitted, nothing is wrong."""
     loads = np.resize([(800.0, 5000.0), (3000.0, 3000.0), (5000.0, 800.0)], (N, 2))
     made = with_loads(driven(), loads)
     distance = made.runs.number("distance_m")

@@ -93,7 +93,7 @@ def robust_spread(values: FloatArray) -> float:
 
 
 def partial_slope(
-    measured: FloatArray, counted: FloatArray, nuisance: FloatArray, least: float = 0.0, least_dof: int = LEAST_RUNS
+    measured: FloatArray, counted: FloatArray, nuisance: FloatArray, least: float = 0.0
 ) -> tuple[float, float, float]:
     """Return the slope of `measured` over `counted` beside nuisance columns, its standard error, degrees of freedom.
 
@@ -105,7 +105,7 @@ def partial_slope(
     explained, _, rank, _ = np.linalg.lstsq(regressors, both, rcond=1e-9)
     counted, measured = (both - regressors @ explained).T
     dof, square = len(measured) - int(rank) - 1, float(counted @ counted)
-    if dof < least_dof or square <= least**2 * len(counted):
+    if dof < 1 or square <= least**2 * len(counted):
         return 0.0, math.inf, 1.0
     slope = float(counted @ measured) / square
     residual = measured - slope * counted
