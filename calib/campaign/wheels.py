@@ -79,9 +79,9 @@ def _lacks_rear(campaign: Campaign) -> bool:
 def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campaign:
     """Return the campaign with the counts that two wheels on one axle would have had.
 
-    One that has rear wheels is returned as it is. Else the way of front wheel or shaft with the steering angle, or the
-    turns of four wheels, move the axle's middle, which is written as counts of two wheels of the model's radii and
-    track; what mecanum wheels roll to the side is the column `ASIDE`.
+    Without rear wheels the way of front wheel or shaft with the steering angle, or the turns of four wheels, move the
+    axle's middle, written as counts of two wheels of the model's radii and track; what mecanum wheels roll to the side
+    is the column `ASIDE`.
 
     `model`: what the simulator believes; the campaign's own by default. Its `front` or `mecanum` part, where it has
     one, takes the place of the vehicle's nominal lengths. Raises BadInputError where a mecanum vehicle does not say its
@@ -295,11 +295,9 @@ def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray,
 def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[float, float]) -> bool:
     """Return whether wheels rolled so alike, run by run, that the vehicle kept them alike itself.
 
-    A vehicle that steers by its own counts ends with the wheels alike wherever it went: its way may not be straight.
     Led along a line, the wheels part by their radii. Where counting is coarser than that, runs are taken as guided.
 
-    `apart_m`, `way_m`: (n_obs,), what the right wheel rolled beyond the left, and the length of the way; `count_m`: way
-    of one count, left and right.
+    `apart_m`, `way_m` (n_obs,): what the right wheel rolled beyond the left, and the way; `count_m`: of one count.
     """
     if len(apart_m) < MIN_GUIDED_RUNS:
         return False

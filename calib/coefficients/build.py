@@ -85,7 +85,9 @@ def from_fit(
         parts = dict(zip(JOINT[:4], values, strict=True))
         together = joint_section(vehicle.drive, "rear", parts, [*parts], law.covariance()[:4, :4])
         shared = Quantity.of(value=law.run_covariance_m2, unit="m^2")
-        file = file.changed(joint_geometry=together.model_copy(update={"run_covariance": shared}))
+        unweighed = [f"wheels.{one}.reference_load" for one in fit.wheels if f"load_{one}_N" in fit.setup.assumed]
+        together = together.model_copy(update={"run_covariance": shared})
+        file = file.changed(joint_geometry=together, assumed=[*file.assumed, *unweighed])
     except (TypeError, OverflowError) as error:
         found = f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit"
         raise BadInputError(f"{found}; make it anew with 'calib fit CAMPAIGN --into FOLDER'") from error

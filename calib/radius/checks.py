@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.special import fdtrc, stdtr
+from scipy.special import fdtrc, stdtr, stdtrit
 
+from calib.campaign.checks.design import HIDING, along_load, partial_slope
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 from calib.types import FloatArray, StrArray
@@ -38,6 +39,7 @@ class _Residuals:
     x: FloatArray
     residual_m: FloatArray
     dof: float
+    session: StrArray
     direction: StrArray
     run_id: StrArray
     #: indicator columns of the sessions; a constant where there is one session or one run a session
@@ -50,8 +52,8 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
     residual = groups.within(fit.residual_m) if 2 <= len(groups) < n else fit.residual_m - fit.residual_m.mean()
     sessions = groups.indicators
     dof = float(n - sessions.shape[1] - (fit.model == "line" and fit.design != "confounded"))
-    runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, direction, run_id, sessions)
-    checks = [_design(fit, groups), _session(fit, groups), _order(fit)]
+    runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, session, direction, run_id, sessions)
+    checks = [_design(fit, groups), _session(fit, groups), _order(fit, session)]
     if fit.model == "line":
         checks += [_range(fit), _lack_of_fit(runs), _curvature(runs), _equal_scatter(runs)]
     checks += [_session_influence(fit, groups), _influence(runs), _normality(runs), _direction(runs)]
@@ -65,15 +67,15 @@ def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
 
 
 def _lack_of_fit(runs: _Residuals) -> Check | None:
-    if runs.fit.design == "confounded":
-        return None  # sessions and loads are one: see the check of sessions
     group = load_groups(runs.fit.load_N)
     n, levels = len(runs.x), int(group.max()) + 1
     if levels < 3:
         sentence = "With two loads any law runs through both: straightness cannot be tested; add a third load between."
         return Check("lack_of_fit", NOTE, sentence)
+    if runs.fit.design == "confounded":
+        return None  # sessions and loads are one: see the check of sessions
     y = runs.fit.residual_m * UM
-    line = np.column_stack((runs.sessions, runs.x / np.ptp(runs.x)))
+    line = runs.fit.fitted(runs.session)
     reduced, rank_reduced = _squares(line, y)
     full, rank_full = _squares(np.column_stack((line, np.eye(levels)[group])), y)
     dof_levels, dof = rank_full - rank_reduced, n - rank_full
@@ -81,7 +83,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
         few = "Too few repeats at the same load to tell lack of fit from scatter; drive each load twice or more."
         return Check("lack_of_fit", NOTE, few)
     statistic = (reduced - full) / dof_levels / (full / dof)
-    p_value = _p_of_f(statistic, dof_levels, dof)
+    p_value = float(fdtrc(dof_levels, dof, max(statistic, 0.0)))
     found = _with_other_load(runs, several=True) if p_value < NOTE_BELOW else ""
     sentences = (
         "The straight line fits as well as the repeats at each load allow.",
@@ -92,15 +94,15 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
 
 
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
-    """Return what load would explain what is furthest off the line; empty where others are off, or nobody has it."""
+    """Return what load of others would explain what is furthest off the line; else empty."""
     fit, n = runs.fit, len(runs.x)
-    if fit.model != "line" or fit.design == "confounded":
+    if fit.design in {"constant", "confounded"}:
         return ""
     cells = runs.groups.index * n + load_groups(fit.load_N)
     alone = np.arange(n) == np.argmax(np.abs(runs.residual_m))
     members = np.column_stack([alone, *(cells == cell for cell in np.unique(cells)[:MAX_CELLS])])
     line = np.column_stack((runs.x, runs.sessions))
-    basis = np.linalg.qr(line)[0]
+    basis = fit.fitted(runs.session)
     own, residual = (part - basis @ (basis.T @ part) for part in (members, fit.residual_m))
     norm = np.maximum(np.sum(own**2, axis=0), 1e-9)
     gain, total = (residual @ own) ** 2 / norm, float(residual @ residual)
@@ -122,20 +124,15 @@ def _with_other_load(runs: _Residuals, *, several: bool) -> str:
 
 
 def _curvature(runs: _Residuals) -> Check | None:
-    z, y = runs.x / np.ptp(runs.x), runs.fit.residual_m * UM
-    base, square = np.column_stack((runs.sessions, z)), z**2
+    z, y, base = runs.x / np.ptp(runs.x), runs.fit.residual_m * UM, runs.fit.fitted(runs.session)
+    square = z**2
     if runs.fit.design == "confounded":
         weight = np.sqrt(runs.groups.sizes)
         z, y = runs.groups.means(z), runs.groups.means(y) * weight
-        base, square = np.column_stack((np.ones_like(z), z)) * weight[:, None], z**2 * weight
-    projected = square - base @ np.linalg.lstsq(base, square, rcond=1e-10)[0]
-    norm = float(projected @ projected)
-    full, rank = _squares(np.column_stack((base, square)), y)
-    dof = len(y) - rank
-    if norm <= 1e-9 * float(square @ square) or dof < 1 or full <= 0:
+        base, square = np.column_stack((weight, z * weight)), z**2 * weight
+    bend, sd, dof = partial_slope(y, square, base, 3e-5 * float(np.sqrt(np.mean(square**2))))
+    if sd <= 0.0 or np.isinf(sd):
         return None
-    bend = float(projected @ y) / norm
-    statistic = bend / np.sqrt(full / dof / norm)
     # a parabola over the whole span departs from its chord by a quarter of its coefficient
     sag = abs(bend) / 4
     sentences = (
@@ -143,7 +140,7 @@ def _curvature(runs: _Residuals) -> Check | None:
         f"The radius bends by about {sag:.2g} um in the middle of the load range: a straight law is that far off "
         "there; narrow the load range, or use a look-up table of measured loads.",
     )
-    return tested("curvature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)
+    return tested("curvature", bend / sd, f"t({dof:.0f})", p_of_t(bend / sd, dof), sentences, fails=True)
 
 
 def _equal_scatter(runs: _Residuals) -> Check:
@@ -160,7 +157,7 @@ def _influence(runs: _Residuals) -> Check | None:
     total = float(runs.residual_m @ runs.residual_m)
     if dof < 3 or total <= 0:
         return None
-    slack = np.full(n, dof / n)
+    slack = dof / n
     # externally studentised
     others = np.maximum(total - runs.residual_m**2 / slack, 1e-12 * total) / (dof - 1)
     studentised = np.abs(runs.residual_m) / np.sqrt(others * slack)
@@ -181,7 +178,10 @@ def _influence(runs: _Residuals) -> Check | None:
         f"repeat it.{found}",
     )
     name = f"largest studentised residual of {n}"
-    return tested("influence", studentised[worst], name, p_value, sentences, fails=True)
+    # within the others' interval the law with it holds the truth
+    moved = (1 + (runs.fit.model == "line")) * float(runs.fit.cook[worst]) * runs.fit.residual_std_m**2 / others[worst]
+    fails = moved > stdtrit(dof - 1, 0.975) ** 2
+    return tested("influence", studentised[worst], name, p_value, sentences, fails=fails)
 
 
 def _normality(runs: _Residuals) -> Check | None:
@@ -200,26 +200,24 @@ def _normality(runs: _Residuals) -> Check | None:
 
 
 def _direction(runs: _Residuals) -> Check | None:
-    side = 1.0 * (np.char.lower(runs.direction) == "out") - (np.char.lower(runs.direction) == "back")
-    known, dof = side != 0.0, runs.dof - 1
-    columns, sessions = np.stack([side, runs.x, runs.residual_m], axis=1)[known], runs.sessions[known]
-    within, load, residual = (columns - sessions @ np.linalg.lstsq(sessions, columns)[0]).T
-    across = within - load * float(load @ within) / max(float(load @ load), 1e-300)
-    squares, loads = float(across @ across), [runs.fit.load_N[sign * side > 0] for sign in (1, -1)]
-    half = float(across @ residual) / max(squares, 1e-300)
-    pooled = float(np.sum((residual - half * across) ** 2)) / max(dof, 1.0)
-    if min(map(len, loads)) < 3 or dof < 3 or pooled <= 0.0 or np.ptp(within) < ROUNDING:
+    way, fit = np.char.lower(runs.direction), runs.fit
+    side = np.where(way == "out", 1.0, np.where(way == "back", -1.0, np.nan))
+    loads = [fit.load_N[side == sign] for sign in (1.0, -1.0)]
+    if min(map(len, loads)) < 3:
         return None
-    if squares < ALIASED * float(within @ within):
+    known = np.isfinite(side)
+    half, sd, dof = partial_slope(fit.residual_m[known], side[known], fit.fitted(runs.session, known), ROUNDING)
+    if beside_load(fit, side, runs.session)[0] ** 2 > 1.0 - ALIASED:
         of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
         return Check("direction", FAILED, f"{of} holds what one direction does; drive each load both ways.")
-    statistic = half * np.sqrt(squares / pooled)
+    if sd <= 0.0 or np.isinf(sd):
+        return None
     sentences = (
         "Out and back give the same radius.",
         f"Radii driven out are {UM * 2.0 * half:+.1f} um from those driven back: a zero error of the rangefinder, "
         "a sloping floor or drag in one direction; as many runs out as back cancel it, keep it so.",
     )
-    return tested("direction", statistic, f"t({dof:.0f})", p_of_t(statistic, dof), sentences)
+    return tested("direction", half / sd, f"t({dof:.0f})", p_of_t(half / sd, dof), sentences)
 
 
 def _range(fit: WheelFit) -> Check:
@@ -242,10 +240,6 @@ def tested(
     """
     level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
     return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
-
-
-def _p_of_f(statistic: float, dof_first: float, dof_second: float) -> float:
-    return float(fdtrc(dof_first, dof_second, max(statistic, 0.0)))
 
 
 def p_of_t(statistic: float, dof: float) -> float:
@@ -274,18 +268,16 @@ def without_loads(wheel: WheelFit) -> WheelFit:
 
 
 def _design(fit: WheelFit, groups: Groups) -> Check:
-    loads = distinct_loads(fit.load_N)
-    few = " There are only two loads: whether the law is straight stays unknown." if loads == 2 else ""
     level, blank = NOTE, int(groups.sizes[groups.names == ""].sum())
     if len(groups) > 1 and blank:
         level = FAILED
         sentence = f"{blank} runs have no session and count as one: fill in the column session of runs.csv."
     elif fit.model == "constant":
-        few, sentence = "", _on_one_load(fit)
+        sentence = _on_one_load(fit)
     elif len(groups) == 1:
         sentence = ""
     elif len(groups) == len(fit.load_N):
-        level, sentence = NOTE if few else OK, "Every run is a session of its own: the runs are independent."
+        level, sentence = OK, "Every run is a session of its own: the runs are independent."
     elif fit.design == "confounded" and fit.estimate.design != "confounded":
         level = FAILED
         sentence = (
@@ -302,7 +294,7 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
     else:
         several = [name for at, name in enumerate(groups.names) if distinct_loads(fit.load_N[groups.index == at]) > 1]
         crossed = "crossed" if fit.design == "crossed" and len(several) == len(groups) else "partly crossed"
-        level = NOTE if few or len(several) == 1 else OK
+        level = NOTE if len(several) == 1 else OK
         sentence = f"The loads are {crossed} with the sessions: load and drift between sessions are told apart."
         if len(several) == 1:
             words = f"Session {several[0]} alone has more than one load: the slope is that of this day"
@@ -315,34 +307,43 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
             "scatter as much as runs they hold the truth in 60 % instead of 95 %); repeat some loads on another day."
         )
         sentence = f"{sentence} {one_session}".strip()
-    return Check("design", level, sentence + few)
+    return Check("design", level, sentence)
 
 
-def _order(fit: WheelFit) -> Check | None:
-    found = fit.autocorrelation
-    if found is None or found.p_value == 1.0:
-        return None
-    common = f"Runs that follow each other scatter alike (correlation about {found.rho:.2g})"
-    name = "lag-one autocorrelation"
-    if found.slope_ratio > MAX_SLOPE_WIDENING and found.p_value < NOTE_BELOW:
-        sentence = (
-            f"{common}, and the loads follow the order driven: what lasts from run to run looks like load. The "
-            f"intervals are {found.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads "
-            "in random order."
+def beside_load(fit: WheelFit, values: FloatArray, session: StrArray) -> tuple[float, float]:
+    """Return `along_load` of a covariate where the slope comes from."""
+    of = session if fit.design in {"crossed", "mixed"} else np.full(len(values), "")
+    return along_load(fit.load_N, values, of) if fit.model == "line" else (0.0, 0.0)
+
+
+def _order(fit: WheelFit, session: StrArray) -> Check | None:
+    found, sloped = fit.autocorrelation, fit.design not in {"constant", "confounded"}
+    apart, level = "Runs that follow each other scatter independently.", OK
+    if sloped and beside_load(fit, np.arange(float(len(session))), session)[0] ** 2 > HIDING:
+        level = NOTE
+        apart = (
+            "Within the sessions the loads rise or fall with the order driven: what drifts there (warming up, wear) "
+            "looks like load, which no interval holds; drive the loads in random order."
         )
-        return Check("order", FAILED, sentence, found.lag_one, name, found.p_value)
-    sentences = (
-        "Runs that follow each other scatter independently.",
-        f"{common}: the intervals allow for it; let the wheels warm up, and drive the loads in random order.",
+    if found is None or found.p_value == 1.0:
+        return Check("order", level, apart) if level == NOTE else None
+    fails = sloped and found.slope_ratio > MAX_SLOPE_WIDENING
+    alike = f"Runs that follow each other scatter alike (correlation about {found.rho:.2g})"
+    alike += (
+        f", and the loads follow the order driven: what lasts from run to run looks like load. The intervals are "
+        f"{found.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads in random order."
+        if fails
+        else ": the intervals allow for it; let the wheels warm up, and drive the loads in random order."
     )
-    return tested("order", found.lag_one, name, found.p_value, sentences)
+    check = tested("order", found.lag_one, "lag-one autocorrelation", found.p_value, (apart, alike), fails=fails)
+    return replace(check, level=level) if check.level == OK else check
 
 
 def _session(fit: WheelFit, groups: Groups) -> Check | None:
     estimate = fit.estimate
     if len(groups) < 2 or len(groups) == len(fit.load_N) or estimate.session_f is None or estimate.dof_between < 1:
         return None
-    p_value = _p_of_f(estimate.session_f, estimate.dof_between, estimate.dof_within)
+    p_value = float(fdtrc(estimate.dof_between, estimate.dof_within, estimate.session_f))
     width_ratio = _against_naive(fit)
     subject, cause = "Sessions differ", "temperature, a remounted rangefinder, wear"
     if estimate.design == "confounded":
@@ -371,16 +372,12 @@ def _against_naive(fit: WheelFit) -> str:
 def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
     if fit.model != "line" or not 3 <= len(groups) <= MAX_INFLUENCE_SESSIONS:
         return None
-    n = groups.sizes
+    others = groups.index != np.arange(len(groups))[:, None]
     x, y = fit.load_N - fit.load_N.mean(), fit.residual_m
-    moments = [np.bincount(groups.index, weights=w, minlength=len(groups)) for w in (x, y, x * x, x * y)]
-    sx, sy, sxx, sxy = (total.sum() - total for total in moments)
-    kept = n.sum() - n
-    spread = sxx - sx**2 / kept
-    usable = spread > 1e-6 * float(x @ x)
-    if not usable.any():
+    # one load alone has no slope
+    change = np.array([np.polyfit(x[of], y[of], 1)[0] if np.ptp(x[of]) > 1e-3 * np.ptp(x) else 0.0 for of in others])
+    if not change.any():
         return None
-    change = np.where(usable, (sxy - sx * sy / kept) / np.where(usable, spread, 1.0), 0.0)
     worst = int(np.argmax(np.abs(change)))
     half = float(fit.estimate.half_width((0.0, 1.0)))
     ratio = abs(float(change[worst])) / half if half > 0 else 0.0

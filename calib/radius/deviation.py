@@ -126,15 +126,14 @@ def deviation_rows(
     amplitudes_m, wavelengths_m : array_like of float, shapes (n,) and (m,)
         A and lambda.
     distance_m, track_m
-        S_O, and distance between the wheels' contact points; the path starts on the line, at phase 0.
+        S_O, and distance between the wheels' contact points; the path starts at phase 0.
     tolerance
         Largest relative error of a radius, for the amplitude that is allowed.
 
     Returns
     -------
     list of mapping
-        Relative excess over whole periods, exact and by the small-amplitude form; over `distance_m` for centre and both
-        wheels; relative errors of radii computed without correction; amplitude allowed.
+        Relative excesses over whole periods and `distance_m`, errors of radii without correction, amplitude allowed.
     """
     lengths = {"amplitude": amplitudes_m, "wavelength": wavelengths_m, "distance": distance_m, "track": track_m}
     for name, given in lengths.items():

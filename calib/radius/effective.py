@@ -8,6 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.checks.design import turned_rad
+from calib.campaign.checks.measurements import off_line
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
 from calib.errors import BadFileError, RefusedError
@@ -91,8 +93,8 @@ class EffectiveRadii:
 def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign, tuple[UnusedRun, ...], list[str]]:
     """Return the runs whose radii can be computed, the others, and what was assumed.
 
-    `need_load`: leave out runs without a wheel load; where no run has one, all count as unladen. Raises RefusedError
-    where none can be used.
+    `need_load`: leave out runs without a wheel load; where no run has one or a payload, all count as unladen. Raises
+    RefusedError where none can be used.
     """
     if without_rear_wheels(campaign):
         wheels = SOURCE_NAMES[odometry_source(campaign)]
@@ -103,16 +105,17 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
     runs, notes = campaign.runs, []
     loads = {side: runs.number(f"load_{side}_N") for side in ("left", "right")}
-    if need_load and not any(np.isfinite(load).any() for load in loads.values()):
-        unladen = campaign.vehicle.unladen_load_N
+    unladen = not any(np.isfinite(load).any() for load in loads.values()) and not np.any(runs.number("payload_kg") > 0)
+    if need_load and unladen:
+        own_N = campaign.vehicle.unladen_load_N
         notes.append(
-            f"No run has wheel loads or a payload: all are taken as unladen ({unladen:.0f} N a wheel), which "
+            f"No run has wheel loads or a payload: all are taken as unladen ({own_N:.0f} N a wheel), which "
             "they may not have been; add payload_kg, or load_left_N and load_right_N, to runs.csv."
         )
-        loads = {side: np.full(len(runs), unladen) for side in loads}
-    turn = _apparent_turn_rad(campaign)
-    # a wrong counts_per_rev turns every run by the same angle: a note, no reason to drop them all
-    usual = np.nanmedian(turn) if np.isfinite(turn).any() else 0.0
+        loads = {side: np.full(len(runs), own_N) for side in loads}
+    turn = turned_rad(campaign)
+    # a wrong counts_per_rev turns all runs alike, loads by what radii differ: no reason to drop them
+    unusual = off_line(loads["left"] - loads["right"], turn)
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
     straight |= not straight.any()
@@ -129,9 +132,12 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
             counts["left"] * counts["right"] < 0,
             "has counts of opposite sign: one encoder runs backwards, or the vehicle turned on the spot",
         ),
-        (need_load & ~(np.isfinite(loads["left"]) & np.isfinite(loads["right"])), "has no wheel load and no payload"),
         (
-            ((np.abs(turn) > STRAIGHT_TURN_RAD) & (np.abs(turn - usual) > STRAIGHT_TURN_RAD))
+            need_load & ~np.isfinite(loads["left"] + loads["right"]),
+            "has no load_left_N, load_right_N, nor a payload with payload_x_m",
+        ),
+        (
+            ((np.abs(turn) > STRAIGHT_TURN_RAD) & (np.abs(unusual) > STRAIGHT_TURN_RAD))
             | (np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD),
             "is not a straight run: its heading changed too much",
         ),
@@ -149,13 +155,6 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
     return replace(campaign, runs=replace(runs, numbers=numbers)).select(keep), left_out, notes
 
 
-def _apparent_turn_rad(campaign: Campaign) -> FloatArray:
-    runs, model = campaign.runs, campaign.model
-    left = runs.number("counts_left") / campaign.encoder.counts_per_rev_left * model.radius_left_m
-    right = runs.number("counts_right") / campaign.encoder.counts_per_rev_right * model.radius_right_m
-    return np.asarray(2 * np.pi * (right - left) / campaign.vehicle.track_m)
-
-
 def effective_radii(campaign: Campaign) -> EffectiveRadii:
     """Return the effective radius of each wheel and run that can be used.
 
@@ -163,8 +162,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     end, or measured amplitude and wavelength. Total counts never do: a steady arc and unequal radii leave the same
     difference, and correcting for it would make the radii equal.
 
-    Rows excluded, not straight, or without distance, counts or load are omitted and named. Raises RefusedError where no
-    run can be used.
+    Raises RefusedError where no run can be used.
     """
     campaign, left_out, notes = usable_runs(campaign)
     runs, track = campaign.runs, campaign.vehicle.track_m

@@ -8,18 +8,29 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.campaign.check import implausible, notes_for_results
-from calib.campaign.checks.design import assumed_settings, listed
+from calib.campaign.checks.design import HIDING, assumed_settings, listed, partial_slope
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
+from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadInputError, ImplausibleError, RefusedError
-from calib.radius import checks, effective
-from calib.radius.checks import FAIL_BELOW, MAX_CELLS, NOTE_BELOW, UM, p_of_t, tested, with_checks, without_loads
+from calib.radius import effective
+from calib.radius.checks import (
+    FAIL_BELOW,
+    MAX_CELLS,
+    NOTE_BELOW,
+    UM,
+    beside_load,
+    p_of_t,
+    tested,
+    with_checks,
+    without_loads,
+)
 from calib.radius.effective import EffectiveRadii, effective_radii
-from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, fit_wheel, t_quantile
+from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, fit_wheel, t_quantile
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.radius.sessions import groups_of
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import FloatArray, IntArray, StrArray
 
 #: largest reference load over the largest driven; further out the line has no digits left
 MAX_REFERENCE_RATIO: Final = 1e4
@@ -28,6 +39,8 @@ MAX_LOAD_CHANGE: Final = 0.2
 MAX_SCATTER: Final = 0.03
 #: of temperatures, to show in a radius
 MIN_SPAN_K: Final = 1.0
+#: usual relative change of a radius with temperature, 0.1 % in 20 K
+USUAL_PER_K: Final = 5e-5
 #: less sessions and both lines, for the scatter about a further slope
 MIN_SLOPE_DOF: Final = 5
 #: lengths nearer than so many times a distance's uncertainty hold that error themselves
@@ -103,6 +116,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
     static, notes = _static(campaign, reference)
     stated = (campaign.vehicle, campaign.encoder, campaign.model, campaign.rangefinder, campaign.reference)
     driven = {name: column for name in CONDITIONS if np.isfinite(column := used.number(name)).any()}
+    unweighed = {} if given else dict.fromkeys(WHEEL_LOADS, f"{fit.left.law.reference_load_N:.4g} N")
     conditions = {name: (float(np.nanmin(column)), float(np.nanmax(column))) for name, column in driven.items()}
     return replace(
         fit,
@@ -111,7 +125,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         radii=replace(fit.radii, budget=(*fit.radii.budget, *effective.systematic_components(wheels, radii, sources))),
         static=static,
         notes=(*notes_for_results(campaign), *fit.notes, *notes),
-        setup=Setup(*stated, conditions, assumed_settings(campaign)),
+        setup=Setup(*stated, conditions, assumed_settings(campaign) | unweighed),
     )
 
 
@@ -168,20 +182,11 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, runs: StrArray, *, 
 
 def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatArray, session: StrArray) -> WheelFit:
     """Return `fit` with two more checks; `std_m`: of each radius by the instruments; shape (n_runs,) all."""
-    std, fitted = np.nan_to_num(std_m), _fitted(fit, session)
+    std, fitted = np.nan_to_num(std_m), fit.fitted(session)
     checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
     if not any(check.level == FAILED and check.name in EXPLAINED_BY for check in checks):
         checks += _scatter(fit, std, session)
     return replace(fit, checks=tuple(checks))
-
-
-def _fitted(fit: WheelFit, session: StrArray, known: BoolArray | slice = slice(None)) -> FloatArray:
-    """Return orthonormal columns (n_known, k) of sessions and load."""
-    base, load = groups_of(session[known]).indicators, fit.load_N[known]
-    if fit.model == "line" and fit.design != "confounded":
-        base = np.column_stack((base, load / load.max()))
-    u, size, _ = np.linalg.svd(base, full_matrices=False)
-    return np.asarray(u[:, size > 1e-10 * size[0]])
 
 
 def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: FloatArray) -> Iterator[Check]:
@@ -215,7 +220,7 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
 
 def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Check]:
     std_m = np.nan_to_num(std_m)
-    dof = len(std_m) - _fitted(fit, session).shape[1]
+    dof = len(std_m) - fit.fitted(session).shape[1]
     stated, scatter = float(np.sqrt(np.mean(std_m**2))), fit.run_std_m
     if dof < MIN_SLOPE_DOF or stated <= 0.0:
         return
@@ -256,39 +261,33 @@ def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> Whe
 
 
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
-    """Return `fit` with the check against temperature, where these runs allow one.
-
-    `temperature_C` (NaN where not read), `session`: shape (n_runs,). Sessions, and what correlates with the load, are
-    taken off both first.
-    """
+    """Return `fit` with the check against temperature, shape (n_runs,), NaN where not read."""
     known = np.isfinite(temperature_C)
-    if not known.any() or np.ptp(temperature_C[known]) < MIN_SPAN_K:
+    if not known.any() or (span := float(np.ptp(temperature_C[known]))) < MIN_SPAN_K:
         return fit
-    fitted, span, load_N = _fitted(fit, session, known), np.ptp(temperature_C[known]), fit.load_N[known]
-    with_load = float(np.corrcoef(load_N, temperature_C[known])[0, 1]) if np.ptp(load_N) else 0.0
-    if with_load**2 > 1.0 - checks.ALIASED:
+    residual, least = fit.residual_m[known], 0.1 * MIN_SPAN_K
+    slope, sd, dof = partial_slope(residual, temperature_C[known], fit.fitted(session, known), least)
+    if sd <= 0.0:
+        return fit
+    statistic, limit = slope / sd, abs(slope) + sd * float(t_quantile(dof))
+    p_value, usual = p_of_t(statistic, dof), USUAL_PER_K * fit.law.radius_ref_m
+    with_load, per_N = beside_load(fit, temperature_C, session)
+    moved = usual * abs(per_N)
+    if limit > usual and p_value >= FAIL_BELOW and with_load**2 > HIDING and moved > fit.law.std_of((0.0, 1.0)):
         text = (
-            f"Load and temperature go together (correlation {with_load:+.2f}, {span:.0f} K): the slope holds what the "
-            "temperature does; drive light and heavy on one warm and one cold day."
+            f"Load and temperature go together (correlation {with_load:+.2f}, {span:.0f} K): a usual {UM * usual:.2g} "
+            f"um/K may not show, and moves the slope by {UM * moved:.2g} um/N; drive light and heavy warm and cold."
         )
-        return replace(fit, checks=(*fit.checks, Check("temperature", NOTE, text)))
-    columns = (fit.residual_m, temperature_C)
-    residual, warmth = (column[known] - fitted @ (fitted.T @ column[known]) for column in columns)
-    dof, squares = len(residual) - fitted.shape[1] - 1, float(warmth @ warmth)
-    if dof < MIN_SLOPE_DOF or np.sqrt(squares / len(warmth)) < 0.1 * MIN_SPAN_K:
+        return replace(fit, checks=(*fit.checks, Check("temperature", FAILED, text)))
+    if np.isinf(sd):
         return fit
-    slope = float(warmth @ residual) / squares
-    scatter = float(np.sum((residual - slope * warmth) ** 2)) / dof
-    if scatter <= 0:
-        return fit
-    statistic = slope * np.sqrt(squares / scatter)
     sentences = (
-        "The radius does not follow the temperature.",
+        f"The radius follows the temperature by no more than {UM * limit:.2g} um/K, if at all.",
         f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: a law of the load "
         "alone is off by that on a warmer or colder day; 'calib diagnose' says whether it is the temperature or "
         "something that correlates with it, and corrects it.",
     )
-    check = tested("temperature", statistic, f"t({dof})", p_of_t(statistic, dof), sentences, fails=True)
+    check = tested("temperature", statistic, f"t({dof:.0f})", p_value, sentences, fails=True)
     return replace(fit, checks=(*fit.checks, check))
 
 
@@ -332,8 +331,7 @@ def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
 def _other_reading(radii: EffectiveRadii) -> str:
     """Return the readings of the table that explain both wheels' radii best; empty where chance may be as good.
 
-    Scatter comes that near to another reading with a probability of the ratio of the squares to the power of half their
-    degrees of freedom (of one wheel), times the number of readings tried.
+    Chance: the ratio of the squares to the power of half their degrees of freedom (of one wheel), times the readings.
     """
     loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
     radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))
@@ -350,21 +348,25 @@ def _other_reading(radii: EffectiveRadii) -> str:
     stated = _squares(loads[None], radius[None], days, np.zeros(n))[0]
     found = []
     for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
+        other = np.where(np.abs(other - loads) < SAME_LOAD, loads, other)
         options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
         # all of them, or those of a session
         starts = [np.zeros(n), np.ones(n), *days.T[:MAX_CELLS]]
+        of_kind = []
         for start in starts if len(other) == 1 else _starts(loads, radius, pairs):
             square, chosen = _squares(options, measured, days, start)
             log_p = 0.5 * dof * np.log(max(square, 1e-300) / stated) + n * np.log(len(options))
-            if log_p < np.log(FAIL_BELOW):
-                found.append((log_p, square, f"with {name} in {listed(radii.run_id[chosen > 0])}"))
+            # one run exchanged, or all the others: the fewer
+            fewer = log_p + np.log(n) * np.count_nonzero(chosen)
+            of_kind.append((fewer, log_p, square, f"with {name} in {listed(radii.run_id[chosen > 0])}"))
+        found += [min(of_kind)[1:]] if min(of_kind)[1] < np.log(FAIL_BELOW) else []
     if not found:
         return ""
     best, square, _ = min(found)
     # what is not clearly worse may be it, too
-    alike = dict.fromkeys(words for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best)
+    alike = ", or ".join(words for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best)
     scatter = UM * np.sqrt(square / (2 * dof))
-    return f"read {', or '.join(alike)}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
+    return f"read {alike}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
 
 
 def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[FloatArray]:

@@ -17,7 +17,7 @@ from calib.errors import RefusedError
 from calib.radius import sessions
 from calib.radius.law import JOINT, UPPER, LineEstimate, RadiusLaw, WheelLaw
 from calib.radius.sessions import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
-from calib.types import FloatArray, IntArray, floats
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
 if TYPE_CHECKING:
     from statsmodels.regression.linear_model import RegressionResults
@@ -43,9 +43,7 @@ FAILED: Final = "failed"
 class Check:
     """One check of a fit: a statistic, and its meaning and remedy in a sentence."""
 
-    #: stable name: ``design``, ``lack_of_fit``, ``curvature``, ``equal_scatter``, ``influence``, ``session``,
-    #: ``session_influence``, ``normality``, ``direction``, ``run_length``, ``scatter``, ``temperature``, ``path``,
-    #: ``range``, ``plausible``
+    #: stable, such as ``lack_of_fit``
     name: str
     #: ``ok``, ``note`` or ``failed``
     level: str
@@ -171,6 +169,14 @@ class WheelFit:
     def _band(self, load_N: ArrayLike, *, single_run: bool) -> tuple[FloatArray, FloatArray]:
         centre, half = self.law.radius_m(load_N), self.law.half_width_m(load_N, single_run=single_run)
         return centre - half, centre + half
+
+    def fitted(self, session: StrArray, known: BoolArray | slice = slice(None)) -> FloatArray:
+        """Return orthonormal columns (n_known, k) of sessions, and of the load beside them."""
+        base, load = groups_of(session[known]).indicators, self.load_N[known]
+        if self.design not in {"constant", "confounded"}:
+            base = np.column_stack((base, load / load.max()))
+        u, size, _ = np.linalg.svd(base, full_matrices=False)
+        return np.asarray(u[:, size > 1e-10 * size[0]])
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values; the contract's keys first."""

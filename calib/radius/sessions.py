@@ -169,8 +169,7 @@ def _of_sessions(
 ) -> tuple[float, dict[str, Any]]:
     """Return the mean square of session means about the law, and an estimate's fields by it.
 
-    `departures`, `sizes` (shape (n_sessions,)): of the means from the law, and runs a session. Where few agree by
-    chance an interval is as wide as by the runs alone.
+    Where few agree by chance an interval is as wide as by the runs alone.
     """
     weight, explained = 1.0 / (WORKING_RATIO + 1.0 / sizes), run_variance * float(np.mean(1.0 / sizes))
     square = float(weight @ departures**2) / dof_between

@@ -136,6 +136,21 @@ def _one_session_rising(_: Campaign) -> Campaign:
     return replace(made, runs=replace(made.runs, labels=labels))
 
 
+def _sessions_rising(_: Campaign) -> Campaign:
+    """Three sessions, each with all loads in rising order."""
+    made = without_logs(campaign(crossed=False))
+    third = np.arange(len(made.runs)) % 3
+    labels = {**made.runs.labels, "session": np.char.add("s", third.astype(str))}
+    made = replace(made, runs=replace(made.runs, labels=labels))
+    order = np.argsort(third, kind="stable")
+    runs = replace(
+        made.runs,
+        labels={name: column[order] for name, column in made.runs.labels.items()},
+        numbers={name: column[order] for name, column in made.runs.numbers.items()},
+    )
+    return replace(made, runs=runs)
+
+
 def _gap(made: Campaign) -> Campaign:
     keep = np.ones(int(made.logs.offsets[-1]), dtype=bool)
     keep[made.logs.offsets[3] + 400 : made.logs.offsets[3] + 460] = False
@@ -330,6 +345,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ),
     ("load_and_session", "confounded_load", "suspicious", _sessions_of_one_load, ""),
     ("load_and_session", "ordered_load", "suspicious", _one_session_rising, ""),
+    ("load_and_session", "ordered_load", "suspicious", _sessions_rising, ""),
     ("columns_as_one", "columns_as_one", "suspicious", warmer_each_session, ""),
     ("columns_as_one", "columns_as_one", "suspicious", faster_back, ""),
     ("few_loads", "few_loads", "suspicious", lambda m: m.select(m.runs.number("payload_kg") == 100), ""),

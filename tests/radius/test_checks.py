@@ -165,7 +165,7 @@ def test_two_loads_are_fitted_and_straightness_is_not_tested() -> None:
     fit = with_checks(fit, names, np.full(20, ""), np.array([str(run) for run in range(20)]))
     checks = {check.name: check for check in fit.checks}
     assert fit.model == "line"
-    assert "two loads" in checks["design"].sentence
+    assert "two loads" in checks["lack_of_fit"].sentence
     assert "third load" in checks["lack_of_fit"].sentence
 
 
@@ -225,11 +225,58 @@ def test_sound_radii_give_a_note_as_often_as_stated() -> None:
     assert sum(check is not None and check.level != OK for check in checks) <= 11
 
 
-def test_a_temperature_that_follows_the_load_is_noted() -> None:
+def test_a_temperature_that_follows_the_load_fails() -> None:
     """The slope takes up what the temperature does, however little else of it is left to test."""
     for span_K in (0.0, 1.0):
         check = temperature_check(np.random.default_rng(3), PER_K, span_K=span_K, with_load=0.01)
-        assert check is not None and check.level == NOTE and "go together" in check.sentence
+        assert check is not None and check.level == FAILED and "go together" in check.sentence
+
+
+def test_a_warm_up_under_rising_loads_is_no_proof_that_nothing_follows_the_temperature() -> None:
+    """Three loads in rising order over 3 K a session: 5 um/K is hidden; over half a kelvin it moves nothing."""
+    load, session = np.tile(np.repeat([300.0, 700.0, 1100.0], 4), 3), np.repeat(["a", "b", "c"], 12)
+    radius = 0.1 - 1.4e-6 * (load - 300.0) + np.random.default_rng(5).normal(0.0, 1.5e-5, 36)
+    fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
+    for span_K, level in ((3.0, FAILED), (1.1, OK)):
+        check = with_temperature_check(fit, 18.0 + span_K * np.tile(np.arange(12) / 11.0, 3), session).checks[-1]
+        assert (check.name, check.level) == ("temperature", level)
+        assert "no more than" in check.sentence or "may not show" in check.sentence
+
+
+@pytest.mark.parametrize(("order", "level"), [("rising", NOTE), ("mixed", OK), ("one load", OK)])
+def test_loads_that_rise_in_every_session_leave_a_drift_open(order: str, level: str) -> None:
+    load, session = np.tile(np.repeat([300.0, 700.0, 1100.0], 4), 3), np.repeat(["a", "b", "c"], 12)
+    rng = np.random.default_rng(3)
+    load = {"rising": load, "mixed": np.resize([300.0, 1100.0, 700.0], 36), "one load": 300.0 + 0.1 * rng.random(36)}[
+        order
+    ]
+    fit = fit_wheel("left", load, 0.1 + rng.normal(0.0, 1e-5, 36), session, reference_load_N=300.0)
+    (check,) = (one for one in with_checks(fit, session, session, session).checks if one.name == "order")
+    assert check.level == level
+    assert ("rise or fall" in check.sentence) == (level == NOTE)
+
+
+def test_runs_of_one_load_fail_no_check_of_their_order() -> None:
+    """Independent runs: a failure has a probability of 1e-4 a wheel, and one load follows no order."""
+    rng, session = np.random.default_rng(4), np.repeat(["a", "b", "c"], 8)
+    for _ in range(200):
+        fit = fit_wheel("left", np.full(24, 300.0), 0.1 + rng.normal(0, 1e-5, 24), session, reference_load_N=300.0)
+        (check,) = (one for one in with_checks(fit, session, session, session).checks if one.name == "order")
+        assert check.level != FAILED
+        assert "loads follow" not in check.sentence
+
+
+@pytest.mark.parametrize(("share", "level"), [(4.5, NOTE), (30.0, FAILED)])
+def test_an_outlier_fails_where_it_moves_the_law_out_of_its_interval(share: float, level: str) -> None:
+    """Nine times the scatter in the middle of 60 runs moves the mean by 0.15 of it; the interval holds 0.26."""
+    rng, session = np.random.default_rng(5), np.repeat(["a", "b", "c"], 20)
+    load = np.resize(LOADS, 60)
+    radius = 0.1 + 1e-6 * load + rng.normal(0.0, 1e-5, 60)
+    radius[7] += 2e-5 * share
+    fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
+    run_id = np.arange(60).astype(str)
+    (check,) = (one for one in with_checks(fit, session, session, run_id).checks if one.name == "influence")
+    assert (check.level, "Run 7 lies" in check.sentence) == (level, True)
 
 
 def test_temperatures_that_differ_between_sessions_alone_are_not_checked() -> None:

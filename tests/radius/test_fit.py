@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from calib.coefficients.build import LOAD_MARGIN, MIN_LOAD_MARGIN_N, from_fit
+from calib.coefficients.formats import assumed_note
 from calib.documents import checksum
 from calib.errors import BadInputError, CalibError, ImplausibleError, RefusedError
 from calib.radius.fit import fit_campaign
@@ -136,6 +137,23 @@ def test_unknown_loads_are_taken_as_unladen_with_a_note() -> None:
     assert fit.left.law.reference_load_N == pytest.approx(campaign.vehicle.unladen_load_N)
     assert any("unladen" in note for note in fit.notes)
     json.dumps(fit.to_dict(), allow_nan=False)
+    assert fit.setup is not None and {"load_left_N", "load_right_N"} <= fit.setup.assumed.keys()
+    file = from_fit(replace(fit, provenance={}), inputs={})
+    assert {"wheels.left.reference_load", "wheels.right.reference_load"} <= {*file.assumed}
+    assert "wheels.left.reference_load 300" in assumed_note(file)[0]
+
+
+@pytest.mark.parametrize("payload_kg", [0.0, 160.0])
+def test_a_payload_without_its_place_is_no_unladen_vehicle(payload_kg: float) -> None:
+    campaign = straight(np.full(20, 0.1), np.full(20, 0.1), LOAD)
+    numbers = {name: column for name, column in campaign.runs.numbers.items() if not name.startswith("load")}
+    numbers["payload_kg"] = np.full(20, payload_kg)
+    made = replace(campaign, runs=replace(campaign.runs, numbers=numbers))
+    if payload_kg:
+        with pytest.raises(RefusedError, match="payload_x_m"):
+            fit_campaign(made)
+    else:
+        assert fit_campaign(made).left.model == "constant"
 
 
 def test_budget_adds_up_to_the_observed_scatter(fit: Fit) -> None:

@@ -137,3 +137,33 @@ def test_what_is_common_to_both_wheels_moves_their_mean_by_all_of_it() -> None:
 def load_coefficients_of(made: Campaign) -> RadiusLaw:
     fit = replace(fit_campaign(made), provenance={})
     return CoefficientFile.model_validate_json(from_fit(fit, inputs={}).to_bytes()).law
+
+
+def test_one_wrong_row_is_named_alone() -> None:
+    """Loads on either side of the middle mirror each other: neither like loads nor all other rows are exchanged."""
+    loads = np.resize([(300.0, 1100.0), (700.0, 700.0), (1100.0, 300.0)], (N, 2))
+    loads = loads + np.random.default_rng(6).normal(0.0, 0.5, (N, 2))
+    made = with_loads(driven(), loads)
+    counts = {}
+    for side, load, radius in zip(("left", "right"), loads.T, (0.10009, 0.09988), strict=True):
+        true = (radius - 1.3e-6 * (load - 300.0)) * (1.0 + 1e-4 * np.random.default_rng(7).standard_normal(N))
+        counts[f"counts_{side}"] = np.floor(made.runs.number("distance_m") / (2 * np.pi * true) * 4096.0)
+    found = fit_campaign(loads_exchanged(altered(made, **counts), np.arange(N) == 6)).implausible
+    assert all("exchanged in r6, they scatter" in text or "exchanged in r6, or" in text for text in found)
+    assert not any(" more" in text for text in found)
+    assert len(found) == 2
+
+
+def test_a_straight_law_over_heavy_loads_is_no_scatter_and_no_turn() -> None:
+    """Radii that change by 6 % of a span, on both sides against each other: no run is omitted, nothing is wrong."""
+    loads = np.resize([(800.0, 5000.0), (3000.0, 3000.0), (5000.0, 800.0)], (N, 2))
+    made = with_loads(driven(), loads)
+    distance = made.runs.number("distance_m")
+    counts = {
+        f"counts_{side}": np.floor(distance / (2 * np.pi * (0.1 - 1.45e-6 * (load - 800.0))) * 4096.0)
+        for side, load in zip(("left", "right"), loads.T, strict=True)
+    }
+    fit = fit_campaign(altered(made, **counts))
+    assert (fit.implausible, fit.radii.left_out) == ((), ())
+    shuffled = {name: column[np.random.default_rng(9).permutation(N)] for name, column in counts.items()}
+    assert fit_campaign(altered(made, **shuffled)).implausible

@@ -17,6 +17,7 @@ from calib.campaign.checks.design import (
     robust_spread,
     turned_rad,
 )
+from calib.campaign.checks.measurements import factor_reason, off_line
 from calib.campaign.checks.poses import POSITION_UNITS
 from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS
@@ -101,8 +102,8 @@ def count_scale(campaign: Campaign) -> Iterator[Note]:
         if alike and abs(usual - 1) > _WORN and design.stated(campaign, "vehicle.wheel_radius_m"):
             odd = known
         if alike and odd.sum() > MOST_OF_THE_RUNS * known.sum():
-            reason = _reason(usual) or "check counts_per_rev, the wheel radius and the unit of the distance"
-            text = f"the {side} wheel's radius is {usual:.4g} times the nominal one in nearly every run; {reason}"
+            text = f"""the {side} wheel's radius is {usual:.4g} times the nominal one in nearly every run;
+                {factor_reason(usual)}"""
             yield column_note(f"counts_{side}", text, "count_scale")
             continue
         for run in np.flatnonzero(odd):
@@ -120,13 +121,8 @@ def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
                 counter give this; give encoder.wrap_bits = {bits} to have them undone"""
             return cell_note(campaign, run, f"counts_{side}", text, "wrapped_total")
     text = f"""found {total:.0f}, a radius {ratio:.4g} times the nominal one; expected about {expected:.0f};
-        {_reason(ratio) or "check the counts and the distance of this run"}"""
+        {factor_reason(ratio)}"""
     return cell_note(campaign, run, f"counts_{side}", text, "count_scale")
-
-
-def _reason(ratio: float) -> str:
-    reason = design.meaning(ratio)
-    return f"this looks like {reason}" if reason else ""
 
 
 def counts_against_log(campaign: Campaign) -> Iterator[Note]:
@@ -143,7 +139,7 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
             elif abs(found + log) <= allowed[run]:
                 hint, code = "the sign differs", "reversed_wheels"
             else:
-                hint = _reason(abs(log / found)) if found else ""
+                hint = design.meaning(abs(log / found)) if found else ""
                 hint, code = hint or "the log may be cut, or belong to another run", "counts_disagree"
             text = f"found {found:.0f} in the table but {log:.0f} in the log; {hint}"
             yield cell_note(campaign, run, f"counts_{side}", text, code)
@@ -152,16 +148,16 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
 def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose left and right counts are exchanged.
 
-    The logarithm of right over left counts is fitted on the wheel loads; a run is mirrored where minus its value fits
-    and its value does not, unless it is usual for such loads.
+    A run is mirrored where minus the logarithm of right over left counts fits its loads and the logarithm does not,
+    unless it is usual for such loads.
     """
     left, right = (campaign.runs.number(f"counts_{side}") / campaign.encoder.per_rev(side) for side in SIDES)
     usable = np.flatnonzero((left > 0) & (right > 0) & (campaign.runs.number("distance_m") > 1.0))
     if len(usable) < 5:
         return
     ratio, loads = np.log(right[usable] / left[usable]), design.both_sides(campaign, "load_{}_N")[:, usable].T
-    fitted, spread = _robust_fit(ratio, loads)
-    spread = max(spread, 2e-5)
+    away = off_line(loads.sum(axis=1), off_line(loads[:, 0] - loads[:, 1], ratio))
+    fitted, spread = ratio - away, max(robust_spread(away), 2e-5)
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
     for at in np.flatnonzero(mirrored):
         alike = ~(np.abs(loads - loads[at]) > _ALIKE * loads[at]).any(axis=1)
@@ -171,24 +167,6 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
             runs; left and right look swapped; check this run (when it is ingested: swapped = [...] in the mapping's
             [log])"""
         yield cell_note(campaign, usable[at], "counts_left, counts_right", text, "swapped_wheels")
-
-
-def _robust_fit(values: FloatArray, loads: FloatArray) -> tuple[FloatArray, float]:
-    """Fit on the loads where they vary, outliers dropped in five rounds; fitted values and spread."""
-    regressors = np.ones((len(values), 1))
-    for load in loads.T:
-        if np.isfinite(load).all() and np.ptp(load) > 1.0:
-            candidate = np.column_stack([regressors, (load - load.mean()) / np.ptp(load)])
-            if np.linalg.matrix_rank(candidate, tol=1e-6 * len(values)) == candidate.shape[1] < len(values) / 3:
-                regressors = candidate
-    fitted = np.full(len(values), np.median(values))
-    for _ in range(5):
-        residual = values - fitted
-        keep = np.abs(residual - np.median(residual)) < 4 * max(robust_spread(residual), 1e-9)
-        if keep.sum() <= regressors.shape[1]:
-            break
-        fitted = regressors @ np.linalg.lstsq(regressors[keep], values[keep], rcond=None)[0]
-    return fitted, robust_spread(values - fitted)
 
 
 def turn_direction(campaign: Campaign) -> Iterator[Note]:

@@ -92,6 +92,26 @@ def robust_spread(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
+def partial_slope(
+    measured: FloatArray, counted: FloatArray, nuisance: FloatArray, least: float = 0.0
+) -> tuple[float, float, float]:
+    """Return the slope of `measured` over `counted` beside nuisance columns, its standard error, degrees of freedom.
+
+    0 and infinite where these leave too little of it.
+    """
+    regressors = nuisance / np.maximum(np.abs(nuisance).max(axis=0), 1e-300)
+    # loads may be collinear: any rank
+    both = np.column_stack([counted, measured])
+    explained, _, rank, _ = np.linalg.lstsq(regressors, both, rcond=1e-9)
+    counted, measured = (both - regressors @ explained).T
+    dof, square = len(measured) - int(rank) - 1, float(counted @ counted)
+    if dof < 1 or square <= least**2 * len(counted):
+        return 0.0, math.inf, 1.0
+    slope = float(counted @ measured) / square
+    residual = measured - slope * counted
+    return slope, math.sqrt(float(residual @ residual) / dof / square), float(dof)
+
+
 def load_label(campaign: Campaign) -> StrArray:
     """Return a label of each run's load, shape (n_runs,): the payload and its place, else the loads to 5 N."""
     runs = campaign.runs
@@ -159,6 +179,8 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
         yield Note("suspicious" if set(WEIGHTY) & set(keys) else "info", "campaign.toml", text, "assumed")
 
 
+#: squared correlation with the load, beyond which what stays within a covariate's interval moves the slope beyond its
+HIDING: Final = 0.5
 #: runs that carry a law
 FEWEST_OF_A_LAW: Final = 3
 
@@ -175,22 +197,30 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
     n_loads = len(np.unique(label))
     if n_loads < 2:
         return
-    if len(sessions) >= 2:
-        if not sessions_of_loads(campaign):
-            text = f"""each of the {len(sessions)} sessions has one load only, so that a drift between sessions and the
-                effect of the load cannot be told apart; drive at least two loads in each session"""
-            yield column_note("session and load", text, "confounded_load")
+    if len(sessions) >= 2 and not sessions_of_loads(campaign):
+        text = f"""each of the {len(sessions)} sessions has one load only, so that a drift between sessions and the
+            effect of the load cannot be told apart; drive at least two loads in each session"""
+        yield column_note("session and load", text, "confounded_load")
         return
-    if np.isfinite(campaign.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW:
+    if len(sessions) < 2 and np.isfinite(campaign.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW:
         text = """all runs are of one session, so that what shifts from session to session cannot be told: 'calib fit'
             holds such a law doubtful; drive two loads or more in another session"""
         yield column_note("session", text, "one_session")
-    steps = np.diff(both_sides(campaign, "load_{}_N").sum(axis=0))
-    changes = int((label[1:] != label[:-1]).sum())
-    if changes == n_loads - 1 >= 2 and ((steps >= 0).all() or (steps <= 0).all()):
-        text = """the loads were driven in one rising or falling order, so that warming up and the effect of the load
-            cannot be told apart; drive some loads again at the end, or in mixed order"""
+    session, order = campaign.runs.label("session"), np.arange(float(len(label)))
+    if any(along_load(load, order, session)[0] ** 2 > HIDING for load in both_sides(campaign, "load_{}_N")):
+        text = """the loads rise or fall with the order driven, so that warming up and the effect of the load cannot be
+            told apart; drive some loads again at the end, or in mixed order"""
         yield column_note("order and load", text, "ordered_load")
+
+
+def along_load(load_N: FloatArray, values: FloatArray, session: StrArray) -> tuple[float, float]:
+    """Return a covariate's correlation with the load within sessions, and its change per newton."""
+    known = np.isfinite(load_N + values)
+    columns = np.stack((load_N, values))[:, known]
+    for _, of in groups_of(session[known]) if known.any() else ():
+        columns[:, of] -= columns[:, of].mean(axis=1, keepdims=True)
+    (square, both), (_, own) = (columns @ columns.T).tolist()
+    return (both / math.sqrt(square * own), both / square) if square * own > 0.0 else (0.0, 0.0)
 
 
 #: squared correlation beyond which two columns are one: both effects' intervals are five times as wide
@@ -214,13 +244,11 @@ def columns_as_one(campaign: Campaign) -> Iterator[Note]:
         np.where(way == "out", 0.0, np.where(way == "back", 1.0, np.nan)),
     )
     for (one, a), (other, b) in combinations(zip(_CHANGED, values, strict=True), 2):
-        told = []
-        for _, of in groups_of(runs.label("kind") if other == "direction" else np.full(len(a), "")):
-            known = of[np.isfinite(a[of] + b[of])]
-            changed = np.ptp(a[known]) > _CHANGED[one] and np.ptp(b[known]) > _CHANGED[other] if len(known) else False
-            if len(known) >= LEAST_RUNS and changed:
-                told.append(np.corrcoef(a[known], b[known])[0, 1] ** 2)
-        if (one, other) != ("load", "order of the sessions") and min(told, default=0.0) > _AS_ONE:
+        known = np.isfinite(a + b)
+        if known.sum() < LEAST_RUNS or not (np.ptp(a[known]) > _CHANGED[one] and np.ptp(b[known]) > _CHANGED[other]):
+            continue
+        within = runs.label("kind") if other == "direction" else np.full(len(a), "")
+        if (one, other) != ("load", "order of the sessions") and along_load(a, b, within)[0] ** 2 > _AS_ONE:
             text = f"""{one} and {other} change together, so that no diagnosis tells apart what they do; drive some runs
                 that change one alone"""
             yield column_note(f"{one} and {other}", text, "columns_as_one")

@@ -106,7 +106,8 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
                         runs: {factor_reason(factor)}"""
                     yield implausible_column(f"counts_{side}", text)
             far = np.log(np.abs(distance), where=good, out=distance * np.nan)
-            yield from _scatter(np.log(ratio[good]), far, good, side)
+            load = campaign.runs.number(f"load_{side}_N")[good]
+            yield from _scatter(np.log(ratio[good]), far, good, side, load)
         both = np.isfinite(counts[side] + counts[other]) & (distance > 1)
         if both.sum() >= LEAST_RUNS and (counts[side][both] < 0).all() and (counts[other][both] > 0).all():
             text = f"the {side} wheel counts backwards in every straight run, the {other} one forwards"
@@ -120,13 +121,13 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
         yield implausible_column("distance_m", text)
 
 
-def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: str) -> Iterator[Note]:
-    spread = design.robust_spread(radius)
+def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: str, load: FloatArray) -> Iterator[Note]:
+    spread = design.robust_spread(off_line(load, radius))
     if len(radius) < 3 or spread < 0.01:
         return
     for shift in (1, -1):
         moved = (np.roll(distance, shift) - distance)[good] + radius
-        again = design.robust_spread(moved[1:-1])
+        again = design.robust_spread(off_line(load, moved)[1:-1])
         if again < 0.2 * spread and np.isfinite(moved[1:-1]).sum() > 2:
             text = f"""the {side} wheel's radius scatters by {100 * spread:.2g} %, but by {100 * again:.2g} % with each
                 distance one row on; expected distance and counts of the same run in a row; is the column shifted?"""
@@ -203,10 +204,18 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     yield from _off_the_line(campaign, np.where(np.isfinite(computed.sum(axis=0)), np.nan, weighed.sum(axis=0)))
 
 
-def _slopes(payload: FloatArray, total: FloatArray) -> FloatArray:
-    step = 1 + len(payload) // _MOST_OF_A_LINE
-    more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (payload, total))
+def _slopes(x: FloatArray, y: FloatArray) -> FloatArray:
+    step = 1 + len(x) // _MOST_OF_A_LINE
+    more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (x, y))
     return np.asarray(rise[more > 0.0] / more[more > 0.0])
+
+
+def off_line(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return `y` less its line in `x` by median slopes (Theil and Sen), of few runs less the median."""
+    known = np.isfinite(x + y)
+    slopes = _slopes(x[known], y[known]) if known.sum() >= _LEAST_OF_A_LINE else np.zeros(0)
+    line = np.median(slopes) * np.where(np.isnan(x), np.median(x[known]), x) if len(slopes) else np.zeros(len(x))
+    return np.asarray(y - line - (np.median((y - line)[known]) if known.any() else 0.0))
 
 
 def _unit_of_shares(shares: FloatArray) -> str:
@@ -232,10 +241,9 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     runs = np.flatnonzero(np.isfinite(total + payload))
     if len(runs) < _LEAST_OF_A_LINE:
         return
-    slopes = _slopes(payload[runs], total[runs])
-    slope = float(np.median(slopes)) if len(slopes) else 0.0
-    expected = slope * payload + np.median(total[runs] - slope * payload[runs])
-    away = (total - expected)[runs]
+    away = off_line(payload[runs], total[runs])
+    expected = total.copy()
+    expected[runs] -= away
     far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * design.robust_spread(away))
     kept = payload[runs[~far]]
     for run in runs[far] if far.sum() <= MOST_ODD * len(runs) else ():

@@ -1,7 +1,7 @@
 """End poses: in their unit and frame, and in agreement with distances, counts and logs."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -315,7 +315,7 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
     if good.sum() < 2 * LEAST_RUNS:
         return
     if (np.abs(turned[good]) >= 1.0).sum() >= LEAST_RUNS:
-        ratio, std = _partial_slope(theta[good], turned[good], [distance[good]])
+        ratio, std, _ = design.partial_slope(theta[good], turned[good], distance[good, None])
         if std > 0.1 * abs(ratio) or 0.5 <= ratio <= 2.0:
             return
         if not -2.0 <= ratio <= -0.5:
@@ -327,7 +327,8 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
     elif campaign.reference.frame != "map":
         loads = [campaign.runs.number(f"load_{side}_N")[good] for side in design.SIDES]
         by_load = [distance[good] * load for load in loads if np.isfinite(load).all()]
-        ratio, std = _partial_slope(theta[good], turned[good], [distance[good], *by_load])
+        nuisance = np.column_stack([distance[good], *by_load])
+        ratio, std, _ = design.partial_slope(theta[good], turned[good], nuisance)
         if not ratio < min(_OPPOSED_RATIO, -_OPPOSED_SIGMAS * std):
             return
     else:
@@ -351,19 +352,3 @@ def _logged_headings(campaign: Campaign) -> Iterator[Note]:
     if len(ratios) >= LEAST_RUNS and abs(abs(ratio := float(np.median(ratios))) * math.pi / 180 - 1) < 0.3:
         text = f"headings along the path turn {ratio:.3g} times as far as the counts; are they in degrees?"
         yield implausible_column("ref_theta_rad", text, of="logs")
-
-
-def _partial_slope(measured: FloatArray, counted: FloatArray, nuisance: Sequence[FloatArray]) -> tuple[float, float]:
-    """Return the slope of `measured` over `counted` beside nuisance columns, and its standard error; else 0 and inf."""
-    regressors = np.column_stack(nuisance)
-    regressors = regressors / np.maximum(np.abs(regressors).max(axis=0), 1e-300)
-    # loads may be collinear: any rank
-    both = np.column_stack([counted, measured])
-    explained, _, rank, _ = np.linalg.lstsq(regressors, both, rcond=1e-9)
-    counted, measured = (both - regressors @ explained).T
-    free, square = len(measured) - int(rank) - 1, float(counted @ counted)
-    if free < LEAST_RUNS or square <= 0.0:
-        return 0.0, math.inf
-    slope = float(counted @ measured) / square
-    residual = measured - slope * counted
-    return slope, math.sqrt(float(residual @ residual) / free / square)

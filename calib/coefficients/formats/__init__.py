@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -166,8 +167,7 @@ def assumed_note(file: CoefficientFile) -> tuple[str, ...]:
     """Return which numbers of the file were neither measured nor stated, as one sentence; nothing without any."""
     values = []
     for place in file.assumed:
-        section, _, name = place.partition(".")
-        quantity = getattr(getattr(file, section), name)
+        quantity = attrgetter(place)(file)
         values.append(f"{place} {quantity.value:g} {quantity.unit}")
     if not values:
         return ()
