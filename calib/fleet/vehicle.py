@@ -13,8 +13,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.radius.effective import SystematicSource, gradient
 from calib.radius.law import LineEstimate
-from calib.radius.sessions import MIN_DOF, WIDENED_BELOW, Strata, line_of_strata, rho_at
+from calib.radius.regression import SAME_LOAD
+from calib.radius.sessions import MIN_DOF, WIDENED_BELOW, Autocorrelation, Strata, line_of_strata, rho_at
 from calib.types import FloatArray, StrArray
 
 WHEELS: Final = ("left", "right")
@@ -32,11 +34,17 @@ class PartSums:
     right: WheelSums | None
     why: str = ""
     doubtful: Sequence[str] = ()  #: checks of the law that failed
+    sources: Sequence[SystematicSource] = ()
+    lines: Sequence[WheelLine] = ()  #: of the fit of all runs of a vehicle
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> PartSums:
         """Return what was kept."""
-        return PartSums(**{**value, **{side: value[side] and WheelSums.from_dict(value[side]) for side in WHEELS}})
+        sums: dict[str, Any] = {side: value[side] and WheelSums.from_dict(value[side]) for side in WHEELS}
+        # JSON has no infinite number
+        sums["sources"] = [SystematicSource(**{**one, "dof": one["dof"] or np.inf}) for one in value["sources"]]
+        lines = ({**line, "drift": line["drift"] and Drift(**line["drift"])} for line in value["lines"])
+        return PartSums(**{**value, **sums, "lines": [WheelLine(**line) for line in lines]})
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,7 @@ class Drift:
 
     per_day_m: float
     std_m: float
+    variance_m2: float  #: of a session
     dof: float
     last_day: float
 
@@ -62,6 +71,19 @@ class WheelLine:
     run_std_m: float
     autocorrelation: float
     drift: Drift | None
+
+    @staticmethod
+    def of(estimate: LineEstimate, found: Autocorrelation | None, runs: SessionSums) -> WheelLine:
+        """Return an estimate's figures, with the drift in the sums of its runs."""
+        radius, slope = estimate.coefficients.tolist()
+        (radius_std, slope_std), rho = (
+            np.sqrt(np.diag(estimate.covariance)).tolist(),
+            0.0 if found is None else found.rho,
+        )
+        ends = (estimate.radius_ref_ci95_m, estimate.slope_ci95_m_per_N)
+        return WheelLine(
+            radius, slope, radius_std, slope_std, *ends, float(np.sqrt(estimate.run_variance)), rho, _drift(runs, slope)
+        )
 
 
 @dataclass(frozen=True)
@@ -108,10 +130,11 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
         wrong = "its files have different reference loads or nominal radii; expected one campaign.toml for all"
     if wrong:
         return VehicleRecord(vehicle, 0, 0.0, None, None, wrong)
-    ((reference, nominal),) = origins
+    reference = parts[0].reference_load_N
     sums = [reduce(WheelSums.added, (getattr(part, side) for part in parts)) for side in WHEELS]
     n_runs = int(sums[0].runs.n_runs)
-    left, right = (_line(of_side, nominal) for of_side in sums)
+    of_sums = (_line(side, one, parts[0]) for side, one in zip(WHEELS, sums, strict=True))
+    left, right = parts[0].lines or of_sums
     if left is None or right is None:
         why = f"{n_runs} runs carry no line; expected three or more, at two loads or more"
         return VehicleRecord(vehicle, n_runs, reference, None, None, why)
@@ -119,17 +142,24 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     return VehicleRecord(vehicle, n_runs, reference, left, right, doubtful=doubtful)
 
 
-def _line(sums: WheelSums, nominal_m: float) -> WheelLine | None:
+def _line(side: str, sums: WheelSums, part: PartSums) -> WheelLine | None:
+    loads = part.reference_load_N + np.array([sums.runs.load_min_N, sums.runs.load_max_N])
     estimate = line_from_sums(sums.runs)
-    if estimate is None:
+    if estimate is None or np.ptp(loads) <= SAME_LOAD * np.abs(loads).max():
         return None
-    estimate, autocorrelation = widened(estimate, sums)
-    radius, slope = (nominal_m + float(estimate.coefficients[0]), float(estimate.coefficients[1]))
-    half_radius, half_slope = map(float, estimate.half_width(np.eye(2)))
-    ends = ((radius - half_radius, radius + half_radius), (slope - half_slope, slope + half_slope))
-    run_std, drift = float(np.sqrt(estimate.run_variance)), _drift(sums.runs, slope)
-    std = np.sqrt(np.diag(estimate.covariance)).tolist()
-    return WheelLine(radius, slope, std[0], std[1], *ends, run_std, autocorrelation, drift)
+    estimate, rho = widened(estimate, sums)
+    radius, slope = part.radius_m + float(estimate.coefficients[0]), float(estimate.coefficients[1])
+    n, x, y, xx, xy = sums.runs.table[:, :5].sum(axis=0)
+    of_radius = (y + n * part.radius_m, xy + x * part.radius_m)
+    along = []
+    for y_sum, xy_sum in (of_radius, sums.whole[6:]):
+        of_load = (xy_sum - x * y_sum / n) / (xx - x * x / n)
+        along.append(np.array([(y_sum - of_load * x) / n, of_load]))
+    rows = [gradient(one, side, part.reference_load_N, slope, *along) for one in part.sources]
+    dof = np.array([one.dof for one in part.sources])
+    estimate = replace(estimate, coefficients=np.array([radius, slope]),
+                       systematic=np.array(rows).reshape(-1, 2), systematic_dof=dof)  # fmt: skip
+    return WheelLine.of(estimate, Autocorrelation(rho, 0.0, 0.0), sums.runs)
 
 
 def _drift(sums: SessionSums, slope: float) -> Drift | None:
@@ -144,7 +174,8 @@ def _drift(sums: SessionSums, slope: float) -> Drift | None:
     rate = float(weight @ (day_away * level)) / info
     residuals = level - weight @ level / weight.sum() - rate * day_away
     dof = len(day) - 2.0
-    return Drift(rate, float(np.sqrt(float(weight @ residuals**2) / dof / info)), dof, float(day.max()))
+    variance = float(weight @ residuals**2) / dof
+    return Drift(rate, float(np.sqrt(variance / info)), variance, dof, float(day.max()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,11 +185,14 @@ class WheelSums:
     runs: SessionSums
     #: shape (n_sessions, 6): sums of `_pairs` over successive runs in a session
     order: FloatArray
-    whole: FloatArray  #: shape (6,): the same over all runs of a file
+    #: shape (8,): the same over all runs of a file; sums of radius over distance and of its product with the load
+    whole: FloatArray
 
     @staticmethod
-    def from_runs(session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray) -> WheelSums:
-        """Return the sums of runs in the order driven."""
+    def from_runs(
+        session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray, reach: FloatArray
+    ) -> WheelSums:
+        """Return the sums of runs in the order driven; `reach`: radius over distance."""
         runs = SessionSums.from_runs(session, load_N, radius_m, day)
         index = np.searchsorted(runs.session, session)
         together = np.argsort(index, kind="stable")
@@ -166,7 +200,8 @@ class WheelSums:
         same = at[1:] == at[:-1]
         order = np.zeros((len(runs.session), 6))
         np.add.at(order, at[1:][same], pairs[same])
-        return WheelSums(runs, order, _pairs(load_N, radius_m).sum(axis=0))
+        whole = [*_pairs(load_N, radius_m).sum(axis=0), reach.sum(), load_N @ reach]
+        return WheelSums(runs, order, np.array(whole))
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> WheelSums:
@@ -259,7 +294,7 @@ def _blocks_of(estimate: LineEstimate, sums: WheelSums) -> _Blocks | None:
     pairs, xx1, xy1, yy1, x_both, y_both = sums.order.T
     if not estimate.dof_between > 0:
         n, x, y, xx, xy, yy = sums.runs.table[:, :6].sum(axis=0, keepdims=True).T
-        pairs, xx1, xy1, yy1, x_both, y_both = sums.whole[:, None]
+        pairs, xx1, xy1, yy1, x_both, y_both = sums.whole[:6, None]
     x_mean, y_mean = x / n, y / n
     info, cross, square = ((own - n * one * other).sum() for own, one, other in
                            ((xx, x_mean, x_mean), (xy, x_mean, y_mean), (yy, y_mean, y_mean)))  # fmt: skip

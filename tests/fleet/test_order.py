@@ -34,7 +34,7 @@ def _runs(design: str, rho: float, rng: np.random.Generator) -> tuple[FloatArray
 
 
 def _sums(load: FloatArray, radius: FloatArray, session: StrArray) -> WheelSums:
-    return WheelSums.from_runs(session, load, radius, np.zeros(len(load)))
+    return WheelSums.from_runs(session, load, radius, np.zeros(len(load)), radius)
 
 
 @pytest.mark.parametrize(
