@@ -42,7 +42,7 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
         key = keys.of(part)
         campaign = campaign_of(part, settings)
         sources = declared_sources(campaign)
-        fit = fit_campaign(campaign) if part.whole else None
+        fit = fit_campaign(campaign, noted=False) if part.whole else None
         radii = fit.radii if fit else effective_radii(campaign)
     except (CalibError, OSError) as error:
         return PartSums(part.name, key, 0.0, 0.0, None, None, one_line(error))
