@@ -137,15 +137,16 @@ def _sheets_of_sides(table: FileContents) -> dict[str, str]:
 def _of_wheel(column: ColumnContents, side: str) -> str | None:
     name, unit = bracketed(column.name)
     target = guessed_table_column(f"{name} {side}" + (f" [{unit}]" if unit else ""))
-    return target if target and side in target else None
+    return target if target and side and side in target else None
 
 
-def _run_column(table: FileContents) -> ColumnContents | None:
+def run_column(table: FileContents) -> ColumnContents | None:
+    """Return the column that names the runs."""
     return next((column for column in table.columns if guessed_table_column(column.name) == "run_id"), None)
 
 
 def _sided_lines(table: FileContents) -> dict[str, list[str]]:
-    sides, runs = _sheets_of_sides(table), _run_column(table)
+    sides, runs = _sheets_of_sides(table), run_column(table)
     if not sides or runs is None:
         return {}
     other: dict[str, object] = {"sheet": sides["right"], "by": runs.name}
@@ -231,7 +232,7 @@ def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
         if stem_and_unit(key.name)[0] != stem_and_unit(by.name)[0]:
             looked_up["key"] = key.name
         for column in (column for column in columns if column is not key):
-            name = guessed_table_column(column.name)
+            name = guessed_table_column(column.name) or _of_wheel(column, guesses.side_of(sheet) or "")
             if name and name not in {*named, *LABEL_COLUMNS} and _may_be(name, column):
                 named.add(name)
                 lines.append(_column_line(column, name, looked_up))
@@ -240,6 +241,8 @@ def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
 
 def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
     shared = set(map(plain_text, by.texts)) & set(map(plain_text, key.texts))
+    if guessed_table_column(by.name) == guessed_table_column(key.name) == "run_id":
+        return True
     return by.kind == key.kind == "text" and len(shared) >= min(2, len(by.texts)) > 0
 
 
@@ -269,7 +272,7 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
 
 def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
     """Return patterns of the logs' names, where the runs' names do not say them."""
-    column = _run_column(table) if table else None
+    column = run_column(table) if table else None
     run_ids = column.texts if column is not None and column.kind == "text" else ()
     stems = [Path(log.name).stem for log in logs]
     if several := files_of_a_run(logs):
