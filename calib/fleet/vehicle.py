@@ -192,7 +192,7 @@ class WheelSums:
     def from_runs(
         session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray, reach: FloatArray
     ) -> WheelSums:
-        """Return the sums of runs in the order driven; `reach`: radius over distance."""
+        """Return the sums of runs in the order driven; `reach`: radius over distance; see `SessionSums`."""
         runs = SessionSums.from_runs(session, load_N, radius_m, day)
         index = np.searchsorted(runs.session, session)
         together = np.argsort(index, kind="stable")
