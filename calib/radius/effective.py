@@ -368,8 +368,8 @@ def gradient(
 ) -> FloatArray:
     """Return what a standard uncertainty of a source changes the coefficients by, shape (2,).
 
-    `radius`, `reach`: lines of radius and of radius over distance along the load, shape (2,); for the others see
-    `with_systematic`.
+    `radius`, `reach`: lines of radius and of radius over distance along the load, shape (2,); others:
+    see `with_systematic`.
     """
     std = source.std
     match source.section, source.key:
