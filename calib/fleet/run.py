@@ -57,7 +57,7 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
     sums = PartSums(part.name, key, reference, nominal, left, right, sources=sources)
     if fit is None or any(wheel.model != "line" for wheel in fit.wheels.values()):
         return sums
-    of_fit = ((fit.left, left.runs), (fit.right, right.runs))
+    of_fit = ((fit.left, left), (fit.right, right))
     lines = [WheelLine.of(wheel.estimate, wheel.autocorrelation, runs) for wheel, runs in of_fit]
     return replace(sums, doubtful=fit.failed, lines=lines)
 
