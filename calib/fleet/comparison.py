@@ -118,24 +118,25 @@ def any_false(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
 
 
 def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return wheels' variances beside those of the whole fleet, and their degrees of freedom (Smyth 2004).
+    """Return wheels' variances beside those of the fleet, and their degrees of freedom (Smyth 2004).
 
     Variances vary between wheels as an inverse chi-squared, whose degrees of freedom are taken two standard errors low.
     None falls below its own: one wheel's sessions may scatter as no other's.
     """
-    from scipy.optimize import brentq
     from scipy.special import digamma, polygamma
 
-    if len(dof) < 2 * FEWEST_COMPARED:
+    n, half = len(dof), 0.5 * dof
+    if n < 2 * FEWEST_COMPARED:
         return variance, dof
-    log = np.log(variance) - digamma(0.5 * dof) + np.log(0.5 * dof)
-    squares = (log - log.mean()) ** 2 * len(dof) / (len(dof) - 1) - polygamma(1, 0.5 * dof)
+    log = np.log(variance) - digamma(half) + np.log(half)
+    squares = (log - log.mean()) ** 2 * n / (n - 1) - polygamma(1, half)
     # a vehicle's two wheels share its sessions: half as many are independent
-    excess, half = float(squares.mean() + 2.0 * squares.std() / np.sqrt(0.5 * len(dof))), 0.25 * float(dof.sum())
-    if polygamma(1, half) < excess:
-        half = float(brentq(lambda half: polygamma(1, half) - excess, 1.0 / excess, half))
-    usual = float(np.exp(log.mean() + digamma(half) - np.log(half)))
-    return np.maximum((2.0 * half * usual + dof * variance) / (2.0 * half + dof), variance), 2.0 * half + dof
+    excess, prior = float(squares.mean() + 2.0 * squares.std() / np.sqrt(0.5 * n)), 0.5 * float(half.sum())
+    if excess > 0.0:
+        # where 1 / x + 1 / (2 x^2), just below the trigamma function, is the excess
+        prior = min(prior, (1.0 + np.sqrt(1.0 + 2.0 * excess)) / (2.0 * excess))
+    usual = np.exp(log.mean() + digamma(prior) - np.log(prior))
+    return np.maximum((prior * usual + half * variance) / (prior + half), variance), 2.0 * (prior + half)
 
 
 @dataclass(frozen=True, slots=True)

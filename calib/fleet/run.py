@@ -45,21 +45,20 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
         fit = fit_campaign(campaign, noted=False) if part.whole else None
         radii = fit.radii if fit else effective_radii(campaign)
     except (CalibError, OSError) as error:
-        return PartSums(part.name, key, 0.0, 0.0, None, None, one_line(error))
+        return PartSums(part.name, key, 0.0, 0.0, why=one_line(error))
     day = _days(campaign, radii.run_id, part)
     reference, nominal = campaign.model.reference_load_N, campaign.vehicle.wheel_radius_m
     session = np.where(radii.session == "", part.name, radii.session)
     columns = ((radii.load_left_N, radii.radius_left_m), (radii.load_right_N, radii.radius_right_m))
-    left, right = (
+    sums = [
         WheelSums.from_runs(session, load - reference, radius - nominal, day, radius / radii.distance_m)
         for load, radius in columns
-    )
-    sums = PartSums(part.name, key, reference, nominal, left, right, sources=sources)
-    if fit is None or any(wheel.model != "line" for wheel in fit.wheels.values()):
-        return sums
-    of_fit = ((fit.left, left), (fit.right, right))
-    lines = [WheelLine.of(wheel.estimate, wheel.autocorrelation, runs) for wheel, runs in of_fit]
-    return replace(sums, doubtful=fit.failed, lines=lines)
+    ]
+    wheels = list(zip(fit.wheels.values(), sums, strict=True)) if fit else []
+    if any(wheel.model != "line" for wheel, _ in wheels):
+        wheels = []
+    lines = [WheelLine.of(wheel.estimate, getattr(wheel.autocorrelation, "rho", 0.0), one) for wheel, one in wheels]
+    return PartSums(part.name, key, reference, nominal, sums, "", fit.failed if fit else (), sources, lines)
 
 
 def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:
@@ -87,7 +86,7 @@ def _days(campaign: Campaign, run_id: StrArray, part: Part) -> FloatArray:
 
 def _sums_given_up(part: Part, why: str) -> Kept:
     # without a key: the next run tries it again
-    return Kept.of(PartSums(part.name, "", 0.0, 0.0, None, None, why))
+    return Kept.of(PartSums(part.name, "", 0.0, 0.0, why=why))
 
 
 Vehicle = tuple[str, Sequence[Kept]]

@@ -16,7 +16,7 @@ import numpy as np
 from calib.radius.effective import SystematicSource, gradient
 from calib.radius.law import LineEstimate
 from calib.radius.regression import SAME_LOAD
-from calib.radius.sessions import MIN_DOF, WIDENED_BELOW, Autocorrelation, Strata, line_of_strata, rho_at
+from calib.radius.sessions import MIN_DOF, WIDENED_BELOW, Strata, line_of_strata, rho_at
 from calib.types import FloatArray, StrArray
 
 WHEELS: Final = ("left", "right")
@@ -30,8 +30,7 @@ class PartSums:
     key: str
     reference_load_N: float
     radius_m: float
-    left: WheelSums | None
-    right: WheelSums | None
+    sums: Sequence[WheelSums] = ()  #: of both wheels; `why` says why there are none
     why: str = ""
     doubtful: Sequence[str] = ()  #: checks of the law that failed
     sources: Sequence[SystematicSource] = ()
@@ -40,11 +39,12 @@ class PartSums:
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> PartSums:
         """Return what was kept."""
-        sums: dict[str, Any] = {side: value[side] and WheelSums.from_dict(value[side]) for side in WHEELS}
         # JSON has no infinite number
-        sums["sources"] = [SystematicSource(**{**one, "dof": one["dof"] or np.inf}) for one in value["sources"]]
-        lines = ({**line, "drift": line["drift"] and Drift(**line["drift"])} for line in value["lines"])
-        return PartSums(**{**value, **sums, "lines": [WheelLine(**line) for line in lines]})
+        sources = [SystematicSource(**{**one, "dof": one["dof"] or np.inf}) for one in value["sources"]]
+        lines = [WheelLine(**{**one, "drift": one["drift"] and Drift(**one["drift"])}) for one in value["lines"]]
+        return PartSums(
+            **{**value, "sums": [*map(WheelSums.from_dict, value["sums"])], "sources": sources, "lines": lines}
+        )
 
 
 @dataclass(frozen=True)
@@ -68,22 +68,16 @@ class WheelLine:
     slope_std_m_per_N: float
     radius_ci95_m: tuple[float, float]
     slope_ci95_m_per_N: tuple[float, float]
-    run_std_m: float
     autocorrelation: float
     drift: Drift | None
 
     @staticmethod
-    def of(estimate: LineEstimate, found: Autocorrelation | None, runs: WheelSums) -> WheelLine:
-        """Return an estimate's figures, with the drift in the sums of its runs."""
+    def of(estimate: LineEstimate, rho: float, runs: WheelSums) -> WheelLine:
+        """Return an estimate's figures, with the drift of its runs."""
         radius, slope = estimate.coefficients.tolist()
-        (radius_std, slope_std), rho = (
-            np.sqrt(np.diag(estimate.covariance)).tolist(),
-            0.0 if found is None else found.rho,
-        )
+        std = np.sqrt(np.diag(estimate.covariance)).tolist()
         ends = (estimate.radius_ref_ci95_m, estimate.slope_ci95_m_per_N)
-        return WheelLine(
-            radius, slope, radius_std, slope_std, *ends, float(np.sqrt(estimate.run_variance)), rho, _drift(runs, slope)
-        )
+        return WheelLine(radius, slope, std[0], std[1], *ends, rho, _drift(runs, slope))
 
 
 @dataclass(frozen=True)
@@ -131,7 +125,7 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     if wrong:
         return VehicleRecord(vehicle, 0, 0.0, None, None, wrong)
     reference = parts[0].reference_load_N
-    sums = [reduce(WheelSums.added, (getattr(part, side) for part in parts)) for side in WHEELS]
+    sums = [reduce(WheelSums.added, of_wheel) for of_wheel in zip(*(part.sums for part in parts), strict=True)]
     n_runs = int(sums[0].table[:, 0].sum())
     of_sums = (_line(side, one, parts[0]) for side, one in zip(WHEELS, sums, strict=True))
     left, right = parts[0].lines or of_sums
@@ -150,16 +144,13 @@ def _line(side: str, sums: WheelSums, part: PartSums) -> WheelLine | None:
     estimate, rho = widened(estimate, sums)
     radius, slope = part.radius_m + float(estimate.coefficients[0]), float(estimate.coefficients[1])
     n, x, y, xx, xy = sums.table[:, :5].sum(axis=0)
-    of_radius = (y + n * part.radius_m, xy + x * part.radius_m)
-    along = []
-    for y_sum, xy_sum in (of_radius, sums.whole[6:]):
-        of_load = (xy_sum - x * y_sum / n) / (xx - x * x / n)
-        along.append(np.array([(y_sum - of_load * x) / n, of_load]))
+    of_radius = _least_squares(n, x, y + n * part.radius_m, xx, xy + x * part.radius_m)
+    along = (of_radius, _least_squares(n, x, sums.whole[6], xx, sums.whole[7]))
     rows = [gradient(one, side, part.reference_load_N, slope, *along) for one in part.sources]
     dof = np.array([one.dof for one in part.sources])
     estimate = replace(estimate, coefficients=np.array([radius, slope]),
                        systematic=np.array(rows).reshape(-1, 2), systematic_dof=dof)  # fmt: skip
-    return WheelLine.of(estimate, Autocorrelation(rho, 0.0, 0.0), sums)
+    return WheelLine.of(estimate, rho, sums)
 
 
 def _drift(sums: WheelSums, slope: float) -> Drift | None:
@@ -341,9 +332,13 @@ def _plain(sums: WheelSums) -> LineEstimate | None:
     info = xx - x * x / n
     if n < 3 or not info > ROUNDING * max(xx, 1.0):
         return None
-    slope = (xy - x * y / n) / info
-    variance = max(yy - y * y / n - slope * (xy - x * y / n), 0.0) / (n - 2)
+    coefficients = _least_squares(n, x, y, xx, xy)
+    variance = max(yy - y * y / n - coefficients[1] * (xy - x * y / n), 0.0) / (n - 2)
     mean = x / n
     covariance = variance * (np.array([[mean**2, -mean], [-mean, 1.0]]) / info + np.diag([1.0 / n, 0.0]))
-    coefficients = np.array([y / n - slope * mean, slope])
     return LineEstimate.one_stratum("single", coefficients, covariance, float(n - 2), float(variance))
+
+
+def _least_squares(n: float, x: float, y: float, xx: float, xy: float) -> FloatArray:
+    slope = (xy - x * y / n) / (xx - x * x / n)
+    return np.array([(y - slope * x) / n, slope])

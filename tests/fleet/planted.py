@@ -34,7 +34,7 @@ def records_of(fleet: PlannedFleet, rng: np.random.Generator) -> Iterator[Vehicl
                     column["session"], load, radius - NOMINAL_M, column["day"], radius / column["distance_m"]
                 )
             )
-        yield record_of(name, [PartSums(name, "", REFERENCE_N, NOMINAL_M, sides[0], sides[1])])
+        yield record_of(name, [PartSums(name, "", REFERENCE_N, NOMINAL_M, sides)])
 
 
 @dataclass

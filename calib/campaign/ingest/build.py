@@ -148,7 +148,9 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
     elif table is not None and work.mapping.table.sheets:
         runs = _runs_of_sheets(first, work)
     elif table is not None:
-        table, files = _looked_up(first, table, files, work)
+        sheets = files_of_sheets(work.mapping, first, files, work.hashes)
+        files = [path for path in files if path not in sheets.values()]
+        table, work.mapping = with_lookups(table, work.mapping, first, work.border, sheets)
         runs = mapped_runs(table, work.mapping, work.settings.encoder, str(first), work.border)
     if work.mapping.cut is not None:
         if not files:
@@ -236,14 +238,6 @@ def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: _
             return {}
     work.hashes |= {str(path): sha256_file(path) for path in tables}
     return tables
-
-
-def _looked_up(first: Path, table: RawTable, files: list[Path], work: _Ingestion) -> tuple[RawTable, list[Path]]:
-    """Return the run table with looked-up columns, and the files left."""
-    beside = files_of_sheets(work.mapping, first, files)
-    work.hashes |= {str(path): sha256_file(path) for path in beside.values()}
-    table, work.mapping = with_lookups(table, work.mapping, first, work.border, beside)
-    return table, [path for path in files if path not in beside.values()]
 
 
 def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:

@@ -89,8 +89,8 @@ def with_lookups(
     return replace(raw, columns=columns), replace(mapping, table=table)
 
 
-def files_of_sheets(mapping: Mapping, path: Path, files: Sequence[Path]) -> dict[str, Path]:
-    """Return the files that a mapping's sheets name, where the run table at `path` is no workbook."""
+def files_of_sheets(mapping: Mapping, path: Path, files: Sequence[Path], hashes: dict[str, str]) -> dict[str, Path]:
+    """Return the files that a mapping's sheets name where the run table at `path` is no workbook; add their hashes."""
     found: dict[str, Path] = {}
     for target, line in mapping.table.columns.items():
         if line.sheet and path.suffix.lower() != WORKBOOK:
@@ -99,6 +99,7 @@ def files_of_sheets(mapping: Mapping, path: Path, files: Sequence[Path]) -> dict
                 expected = f"the name of one further source, as {path.name} has no sheets"
                 raise bad_line(mapping.shown, "table", f"{target}.sheet", line.sheet, expected)
             found[line.sheet] = named[0]
+            hashes[str(named[0])] = sha256_file(named[0])
     return found
 
 
