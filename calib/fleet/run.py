@@ -11,9 +11,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Border, Campaign, Logs
-from calib.campaign.read import loads_from_payload, read_campaign
+from calib.campaign.read import completed, read_campaign
 from calib.campaign.readers import read_table
-from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.settings_file import read_settings
 from calib.campaign.tables import run_table
 from calib.documents import plain, plain_fields
@@ -71,10 +70,8 @@ def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, len
     shared = known[part.settings]
     border = Border(lenient=False)
     runs = run_table(read_table(part.path, part.name), part.name, border)
-    computed = dict(zip(WHEEL_LOADS, loads_from_payload(shared.vehicle, runs), strict=True))
-    filled = {name: np.where(np.isnan(runs.number(name)), load, runs.number(name)) for name, load in computed.items()}
-    runs = replace(runs, numbers={**runs.numbers, **filled})
-    return replace(shared, root=part.settings, runs=runs, logs=Logs.empty(len(runs)), notes=tuple(border.notes))
+    campaign = replace(shared, root=part.settings, runs=runs, logs=Logs.empty(len(runs)))
+    return replace(completed(campaign, part.name, border), notes=tuple(border.notes))
 
 
 def _days(campaign: Campaign, run_id: StrArray, part: Part) -> FloatArray:
