@@ -366,10 +366,9 @@ def gradient(
     radius: FloatArray,
     reach: FloatArray,
 ) -> FloatArray:
-    """Return what a standard uncertainty of a source changes the coefficients by, shape (2,).
+    """Return what a standard uncertainty of a source moves the coefficients by, shape (2,); see `with_systematic`.
 
-    `radius`, `reach`: lines of radius and of radius over distance along the load, shape (2,); others:
-    see `with_systematic`.
+    `radius`, `reach`: lines of radius and of radius over distance along the load, shape (2,).
     """
     std = source.std
     match source.section, source.key:
