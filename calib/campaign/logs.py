@@ -42,7 +42,7 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list
     the run table's name in messages; `border`: takes what is missing or named twice as faults. Raises BadFileError
     where a path leads out of the folder, or, for a border that is not lenient, at the first fault.
     """
-    plain = _plain_logs(folder)
+    plain, suffixes = _plain_logs(folder), READERS if (folder / "logs").exists() else ()
     files: list[LogFile] = []
     taken: dict[Path, int] = {}
 
@@ -54,7 +54,7 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list
             relative = str(runs.labels["log"][index])
         else:
             # a run id that is no plain file name has no such log
-            candidates = [f"logs/{run_id}{suffix}" for suffix in READERS] if Path(run_id).name == run_id else []
+            candidates = [f"logs/{run_id}{suffix}" for suffix in suffixes] if Path(run_id).name == run_id else []
             relative = next((name for name in candidates if name in plain or (folder / name).exists()), "")
         if not relative:
             continue

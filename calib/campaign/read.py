@@ -83,7 +83,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     if found_logs.columns.keys() & set(SPEEDS):
         found_logs = with_counts(found_logs, settings.encoder, settings.vehicle, border)
     campaign = replace(settings, root=folder, runs=runs, logs=found_logs, hashes=hashes | of_logs)
-    campaign = with_references(_completed(campaign, shown, border), shown, border)
+    campaign = with_references(completed(campaign, shown, border), shown, border)
     return replace(campaign, notes=tuple(border.notes))
 
 
@@ -117,7 +117,8 @@ def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
             border.say(name, text, "look_alike", level="suspicious")
 
 
-def _completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
+def completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
+    """Return a campaign with what its run table lacks, from logs and payload, and overflows of totals undone."""
     runs, logs = campaign.runs, campaign.logs
     numbers = dict(runs.numbers)
 

@@ -214,6 +214,8 @@ def _check_run_ids(run_ids: Sequence[str] | StrArray, line: IntArray, shown: str
         if run_id in first:
             twice = f"{run_id!r}, as in row {first[run_id]}"
             remedy = "rename one run, or remove the row that was pasted twice"
+            if 2 * len({*map(str, run_ids)}) <= len(run_ids):
+                remedy = "give what stands in several rows of a run columns of their own"
             fault = BadFileError(shown, twice, "each run once", remedy, row=row, column="run_id")
             border.fault(fault, "duplicate_run", run_id)
         first.setdefault(run_id, row)

@@ -90,7 +90,7 @@ def _describe(sources: list[Path]) -> None:
     if not terminal.wants_stdout():
         terminal.emit_text(description.to_toml())
         # standard output is the mapping alone
-        terminal.then("ingest --describe", aside=True, sources=sources)
+        terminal.then("ingest --describe", aside=True, sources=description.sources)
 
 
 def check(

@@ -117,6 +117,28 @@ def any_false(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
     return false_discovery(p_values, chance, "holm")
 
 
+def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return wheels' variances beside those of the fleet, and their degrees of freedom (Smyth 2004).
+
+    Variances vary between wheels as an inverse chi-squared, whose degrees of freedom are taken two standard errors low.
+    None falls below its own: one wheel's sessions may scatter as no other's.
+    """
+    from scipy.special import digamma, polygamma
+
+    n, half = len(dof), 0.5 * dof
+    if n < 2 * FEWEST_COMPARED:
+        return variance, dof
+    log = np.log(variance) - digamma(half) + np.log(half)
+    squares = (log - log.mean()) ** 2 * n / (n - 1) - polygamma(1, half)
+    # a vehicle's two wheels share its sessions: half as many are independent
+    excess, prior = float(squares.mean() + 2.0 * squares.std() / np.sqrt(0.5 * n)), 0.5 * float(half.sum())
+    if excess > 0.0:
+        # where 1 / x + 1 / (2 x^2), just below the trigamma function, is the excess
+        prior = min(prior, (1.0 + np.sqrt(1.0 + 2.0 * excess)) / (2.0 * excess))
+    usual = np.exp(log.mean() + digamma(prior) - np.log(prior))
+    return np.maximum((prior * usual + half * variance) / (prior + half), variance), 2.0 * (prior + half)
+
+
 @dataclass(frozen=True, slots=True)
 class Difference:
     """What a label's vehicles have more than the others."""

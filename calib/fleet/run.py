@@ -9,9 +9,8 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Border, Campaign, Logs
-from calib.campaign.read import loads_from_payload, read_campaign
+from calib.campaign.read import completed, read_campaign
 from calib.campaign.readers import read_table
-from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.settings_file import read_settings
 from calib.campaign.tables import run_table
 from calib.documents import plain, plain_fields
@@ -19,10 +18,10 @@ from calib.errors import BadInputError, CalibError, RefusedError
 from calib.fleet import comparison
 from calib.fleet.comparison import Labels, Quantities, VehicleResult, quantities_of
 from calib.fleet.store import SUMS, Kept, Keys, Member, Part, any_simulated, labels_of, members_of, one_line, renewed
-from calib.fleet.vehicle import WHEELS, PartSums, VehicleRecord, WheelSums, record_of
+from calib.fleet.vehicle import WHEELS, Drift, PartSums, VehicleRecord, WheelLine, WheelSums, record_of
 from calib.fleet.workers import engine
-from calib.radius.effective import effective_radii
-from calib.radius.fit import fit_law
+from calib.radius.effective import declared_sources, effective_radii
+from calib.radius.fit import fit_campaign
 from calib.types import FloatArray, Progress, StrArray, silent
 
 #: the day of a run, from any origin
@@ -39,22 +38,29 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
     try:
         key = keys.of(part)
         campaign = campaign_of(part, settings)
-        radii = effective_radii(campaign)
+        sources = declared_sources(campaign)
+        fit = fit_campaign(campaign, noted=False) if part.whole else None
+        radii = fit.radii if fit else effective_radii(campaign)
     except (CalibError, OSError) as error:
-        return PartSums(part.name, key, 0.0, 0.0, None, None, one_line(error))
+        return PartSums(part.name, key, 0.0, 0.0, why=one_line(error))
     day = _days(campaign, radii.run_id, part)
     reference, nominal = campaign.model.reference_load_N, campaign.vehicle.wheel_radius_m
     session = np.where(radii.session == "", part.name, radii.session)
-    left = WheelSums.from_runs(session, radii.load_left_N - reference, radii.radius_left_m - nominal, day)
-    right = WheelSums.from_runs(session, radii.load_right_N - reference, radii.radius_right_m - nominal, day)
-    # a campaign folder has all runs of a vehicle
-    doubtful = part.path.parent == part.settings and fit_law(radii, reference_load_N=reference).failed
-    return PartSums(part.name, key, reference, nominal, left, right, doubtful=doubtful or ())
+    columns = ((radii.load_left_N, radii.radius_left_m), (radii.load_right_N, radii.radius_right_m))
+    sums = [
+        WheelSums.from_runs(session, load - reference, radius - nominal, day, radius / radii.distance_m)
+        for load, radius in columns
+    ]
+    wheels = list(zip(fit.wheels.values(), sums, strict=True)) if fit else []
+    if any(wheel.model != "line" for wheel, _ in wheels):
+        wheels = []
+    lines = [WheelLine.of(wheel.estimate, getattr(wheel.autocorrelation, "rho", 0.0), one) for wheel, one in wheels]
+    return PartSums(part.name, key, reference, nominal, sums, "", fit.failed if fit else (), sources, lines)
 
 
 def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:
     """Return the campaign of a file of journeys; a dataset's tables take the fleet's `settings`, without logs."""
-    if part.path.parent == part.settings:
+    if part.whole:
         return read_campaign(part.settings, lenient=lenient)
     known = {} if settings is None else settings
     if part.settings not in known:
@@ -62,10 +68,8 @@ def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, len
     shared = known[part.settings]
     border = Border(lenient=False)
     runs = run_table(read_table(part.path, part.name), part.name, border)
-    computed = dict(zip(WHEEL_LOADS, loads_from_payload(shared.vehicle, runs), strict=True))
-    filled = {name: np.where(np.isnan(runs.number(name)), load, runs.number(name)) for name, load in computed.items()}
-    runs = replace(runs, numbers={**runs.numbers, **filled})
-    return replace(shared, root=part.settings, runs=runs, logs=Logs.empty(len(runs)), notes=tuple(border.notes))
+    campaign = replace(shared, root=part.settings, runs=runs, logs=Logs.empty(len(runs)))
+    return replace(completed(campaign, part.name, border), notes=tuple(border.notes))
 
 
 def _days(campaign: Campaign, run_id: StrArray, part: Part) -> FloatArray:
@@ -77,7 +81,7 @@ def _days(campaign: Campaign, run_id: StrArray, part: Part) -> FloatArray:
 
 def _sums_given_up(part: Part, why: str) -> Kept:
     # without a key: the next run tries it again
-    return Kept.of(PartSums(part.name, "", 0.0, 0.0, None, None, why))
+    return Kept.of(PartSums(part.name, "", 0.0, 0.0, why=why))
 
 
 Vehicle = tuple[str, Sequence[Kept]]
@@ -181,11 +185,22 @@ def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> F
     return FleetView(len(records), len(fitted), n_failed, found.populations, found.outliers, drifting, found.common)
 
 
+def drifts_of(fitted: Sequence[VehicleRecord]) -> list[tuple[VehicleRecord, str, Drift]]:
+    """Return the wheels' drifts, the scatter of each wheel's sessions known beside that of all."""
+    lines = [(record, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
+    lines = [line for line in lines if line[2] is not None and line[2].std_m > 0]
+    variance, dof = (np.array([getattr(line[2], name) for line in lines]) for name in ("variance_m2", "dof"))
+    known = zip(lines, *comparison.moderated(variance, dof), strict=True)
+    return [
+        (record, side, replace(drift, std_m=drift.std_m * np.sqrt(now / drift.variance_m2), dof=float(of)))
+        for (record, side, drift), now, of in known
+    ]
+
+
 def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
     from scipy.special import stdtr, stdtrit
 
-    lines = [(record, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
-    lines = [line for line in lines if line[2] is not None and line[2].std_m > 0]
+    lines = drifts_of(fitted)
     p = np.array([2.0 * stdtr(drift.dof, -abs(drift.per_day_m) / drift.std_m) for _, _, drift in lines])
     drifting: dict[str, DriftingVehicle] = {}
     for (record, side, drift), stands in zip(lines, comparison.any_false(p), strict=True):

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -34,6 +34,7 @@ class Part:
     settings: Path
     day: float | None = None
     why: str = ""
+    whole: bool = False  #: all journeys of a vehicle, in a campaign folder
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,8 @@ def members_of(folder: Path) -> tuple[Member, ...]:
         found = "a file" if folder.exists() else "no such folder"
         expected = "a folder with one campaign folder a vehicle, or a dataset partitioned by vehicle"
         raise BadFileError(folder, found, expected, "give the fleet's folder")
+    # workers may run in another folder
+    folder = folder.resolve()
     members = _dataset(folder) if (folder / SETTINGS).is_file() else _campaigns(folder)
     if not members:
         expected = "campaign folders, or campaign.toml beside folders vehicle=ID of .parquet files"
@@ -69,7 +72,7 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
                 continue
             tables = (f"runs{suffix}" for suffix in READERS)
             table = next((name for name in tables if (path / name).exists()), "runs.csv")
-            part = _part(folder, f"{path.name}/{table}", path)
+            part = replace(_part(folder, f"{path.name}/{table}", path), whole=True)
         except OSError as error:
             part = Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=one_line(error))
         members.append(Member(path.name, (part,)))
@@ -85,7 +88,6 @@ def _part(folder: Path, name: str, settings: Path, day: float | None = None) -> 
 
 def _dataset(folder: Path) -> tuple[Member, ...]:
     members = []
-    top = folder.resolve()
     with os.scandir(folder) as entries:
         of_vehicles = [entry for entry in entries if _PARTITION.fullmatch(entry.name) and entry.is_dir()]
     for entry in sorted(of_vehicles, key=lambda entry: entry.name):
@@ -93,7 +95,7 @@ def _dataset(folder: Path) -> tuple[Member, ...]:
         for name, partition, direct in sorted(_files_in(entry.path, entry.name, plain=not entry.is_symlink())):
             day = _day_of(partition)
             # of many files only links are resolved
-            parts.append(Part(name, top / name, folder, day) if direct else _part(folder, name, folder, day))
+            parts.append(Part(name, folder / name, folder, day) if direct else _part(folder, name, folder, day))
         members.append(Member(entry.name.partition("=")[2], tuple(parts)))
     return tuple(members)
 
@@ -258,7 +260,7 @@ class Keys:
         if source.why:
             raise CalibError(source.why)
         digest = hashlib.blake2b(VERSION.encode(), digest_size=DIGEST_BYTES)
-        if source.path.parent == source.settings:
+        if source.whole:
             for line in _lines(source.settings):
                 digest.update(line.encode("utf-8", "surrogateescape"))
         else:

@@ -13,7 +13,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.radius.effective import SystematicSource, gradient
 from calib.radius.law import LineEstimate
+from calib.radius.regression import SAME_LOAD
 from calib.radius.sessions import MIN_DOF, WIDENED_BELOW, Strata, line_of_strata, rho_at
 from calib.types import FloatArray, StrArray
 
@@ -28,15 +30,21 @@ class PartSums:
     key: str
     reference_load_N: float
     radius_m: float
-    left: WheelSums | None
-    right: WheelSums | None
+    sums: Sequence[WheelSums] = ()  #: of both wheels; `why` says why there are none
     why: str = ""
     doubtful: Sequence[str] = ()  #: checks of the law that failed
+    sources: Sequence[SystematicSource] = ()
+    lines: Sequence[WheelLine] = ()  #: of the fit of all runs of a vehicle
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> PartSums:
         """Return what was kept."""
-        return PartSums(**{**value, **{side: value[side] and WheelSums.from_dict(value[side]) for side in WHEELS}})
+        # JSON has no infinite number
+        sources = [SystematicSource(**{**one, "dof": one["dof"] or np.inf}) for one in value["sources"]]
+        lines = [WheelLine(**{**one, "drift": one["drift"] and Drift(**one["drift"])}) for one in value["lines"]]
+        return PartSums(
+            **{**value, "sums": [*map(WheelSums.from_dict, value["sums"])], "sources": sources, "lines": lines}
+        )
 
 
 @dataclass(frozen=True)
@@ -45,6 +53,7 @@ class Drift:
 
     per_day_m: float
     std_m: float
+    variance_m2: float  #: of a session
     dof: float
     last_day: float
 
@@ -59,9 +68,16 @@ class WheelLine:
     slope_std_m_per_N: float
     radius_ci95_m: tuple[float, float]
     slope_ci95_m_per_N: tuple[float, float]
-    run_std_m: float
     autocorrelation: float
     drift: Drift | None
+
+    @staticmethod
+    def of(estimate: LineEstimate, rho: float, runs: WheelSums) -> WheelLine:
+        """Return an estimate's figures, with the drift of its runs."""
+        radius, slope = estimate.coefficients.tolist()
+        std = np.sqrt(np.diag(estimate.covariance)).tolist()
+        ends = (estimate.radius_ref_ci95_m, estimate.slope_ci95_m_per_N)
+        return WheelLine(radius, slope, std[0], std[1], *ends, rho, _drift(runs, slope))
 
 
 @dataclass(frozen=True)
@@ -108,10 +124,11 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
         wrong = "its files have different reference loads or nominal radii; expected one campaign.toml for all"
     if wrong:
         return VehicleRecord(vehicle, 0, 0.0, None, None, wrong)
-    ((reference, nominal),) = origins
-    sums = [reduce(WheelSums.added, (getattr(part, side) for part in parts)) for side in WHEELS]
-    n_runs = int(sums[0].runs.n_runs)
-    left, right = (_line(of_side, nominal) for of_side in sums)
+    reference = parts[0].reference_load_N
+    sums = [reduce(WheelSums.added, of_wheel) for of_wheel in zip(*(part.sums for part in parts), strict=True)]
+    n_runs = int(sums[0].table[:, 0].sum())
+    of_sums = (_line(side, one, parts[0]) for side, one in zip(WHEELS, sums, strict=True))
+    left, right = parts[0].lines or of_sums
     if left is None or right is None:
         why = f"{n_runs} runs carry no line; expected three or more, at two loads or more"
         return VehicleRecord(vehicle, n_runs, reference, None, None, why)
@@ -119,20 +136,24 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     return VehicleRecord(vehicle, n_runs, reference, left, right, doubtful=doubtful)
 
 
-def _line(sums: WheelSums, nominal_m: float) -> WheelLine | None:
-    estimate = line_from_sums(sums.runs)
-    if estimate is None:
+def _line(side: str, sums: WheelSums, part: PartSums) -> WheelLine | None:
+    loads = part.reference_load_N + sums.loads_N
+    estimate = line_from_sums(sums)
+    if estimate is None or np.ptp(loads) <= SAME_LOAD * np.abs(loads).max():
         return None
-    estimate, autocorrelation = widened(estimate, sums)
-    radius, slope = (nominal_m + float(estimate.coefficients[0]), float(estimate.coefficients[1]))
-    half_radius, half_slope = map(float, estimate.half_width(np.eye(2)))
-    ends = ((radius - half_radius, radius + half_radius), (slope - half_slope, slope + half_slope))
-    run_std, drift = float(np.sqrt(estimate.run_variance)), _drift(sums.runs, slope)
-    std = np.sqrt(np.diag(estimate.covariance)).tolist()
-    return WheelLine(radius, slope, std[0], std[1], *ends, run_std, autocorrelation, drift)
+    estimate, rho = widened(estimate, sums)
+    radius, slope = part.radius_m + float(estimate.coefficients[0]), float(estimate.coefficients[1])
+    n, x, y, xx, xy = sums.table[:, :5].sum(axis=0)
+    of_radius = _least_squares(n, x, y + n * part.radius_m, xx, xy + x * part.radius_m)
+    along = (of_radius, _least_squares(n, x, sums.whole[6], xx, sums.whole[7]))
+    rows = [gradient(one, side, part.reference_load_N, slope, *along) for one in part.sources]
+    dof = np.array([one.dof for one in part.sources])
+    estimate = replace(estimate, coefficients=np.array([radius, slope]),
+                       systematic=np.array(rows).reshape(-1, 2), systematic_dof=dof)  # fmt: skip
+    return WheelLine.of(estimate, rho, sums)
 
 
-def _drift(sums: SessionSums, slope: float) -> Drift | None:
+def _drift(sums: WheelSums, slope: float) -> Drift | None:
     """Return the session means' drift beside the law; sessions scatter freely."""
     x, y, day = sums.means.T
     if len(day) < 4 or np.ptp(day) <= 0:
@@ -144,47 +165,57 @@ def _drift(sums: SessionSums, slope: float) -> Drift | None:
     rate = float(weight @ (day_away * level)) / info
     residuals = level - weight @ level / weight.sum() - rate * day_away
     dof = len(day) - 2.0
-    return Drift(rate, float(np.sqrt(float(weight @ residuals**2) / dof / info)), dof, float(day.max()))
+    variance = float(weight @ residuals**2) / dof
+    return Drift(rate, float(np.sqrt(variance / info)), variance, dof, float(day.max()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WheelSums:
     """Sums over a wheel's runs, which add."""
 
-    runs: SessionSums
-    #: shape (n_sessions, 6): sums of `_pairs` over successive runs in a session
-    order: FloatArray
-    whole: FloatArray  #: shape (6,): the same over all runs of a file
+    #: each once, in order, shape (n_sessions,)
+    session: StrArray
+    #: number of runs; sums of load F, radius r, F^2, F r, r^2, day, F and r from reference and nominal; sums of
+    #: `_pairs` over successive runs in a session; shape (n_sessions, 13)
+    table: FloatArray
+    #: sums of `_pairs` over all runs of a file; of radius over distance and of its product with F; shape (8,)
+    whole: FloatArray
+    loads_N: FloatArray  #: least and largest, shape (2,)
 
     @staticmethod
-    def from_runs(session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray) -> WheelSums:
-        """Return the sums of runs in the order driven."""
-        runs = SessionSums.from_runs(session, load_N, radius_m, day)
-        index = np.searchsorted(runs.session, session)
+    def from_runs(
+        session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray, reach: FloatArray
+    ) -> WheelSums:
+        """Return the sums of runs in the order driven; `reach`: radius over distance; see `WheelSums`."""
+        labels, index = np.unique(session, return_inverse=True)
+        table = np.zeros((len(labels), 13))
+        terms = (np.ones_like(load_N), load_N, radius_m, load_N**2, load_N * radius_m, radius_m**2, day)
+        table[:, :7] = np.stack([np.bincount(index, term, len(labels)) for term in terms], axis=1)
         together = np.argsort(index, kind="stable")
         at, pairs = index[together], _pairs(load_N[together], radius_m[together])
         same = at[1:] == at[:-1]
-        order = np.zeros((len(runs.session), 6))
-        np.add.at(order, at[1:][same], pairs[same])
-        return WheelSums(runs, order, _pairs(load_N, radius_m).sum(axis=0))
+        np.add.at(table[:, 7:], at[1:][same], pairs[same])
+        whole = [*_pairs(load_N, radius_m).sum(axis=0), reach.sum(), load_N @ reach]
+        ends = np.array([load_N.min(initial=np.inf), load_N.max(initial=-np.inf)])
+        return WheelSums(labels, table, np.array(whole), ends)
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> WheelSums:
         """Return what was kept."""
-        kept = value["runs"]
-        table = np.array(kept["table"], dtype=np.float64).reshape(-1, 8)
-        labels = np.array(kept["session"], dtype=np.str_)
-        runs = SessionSums(labels, table, float(kept["load_min_N"]), float(kept["load_max_N"]))
-        order = np.array(value["order"], dtype=np.float64).reshape(-1, 6)
-        return WheelSums(runs, order, np.array(value["whole"], dtype=np.float64))
+        table, *others = (np.array(value[name], dtype=np.float64) for name in ("table", "whole", "loads_N"))
+        return WheelSums(np.array(value["session"], dtype=np.str_), table.reshape(-1, 13), *others)
 
     def added(self, other: WheelSums) -> WheelSums:
         """Return the sums of both, sessions of one label joined."""
-        runs = self.runs.added(other.runs)
-        index = np.searchsorted(runs.session, np.concatenate([self.runs.session, other.runs.session]))
-        order = np.zeros((len(runs.session), 6))
-        np.add.at(order, index, np.concatenate([self.order, other.order]))
-        return WheelSums(runs, order, self.whole + other.whole)
+        labels, index = np.unique(np.concatenate([self.session, other.session]), return_inverse=True)
+        table, ends = np.zeros((len(labels), 13)), np.concatenate([self.loads_N, other.loads_N])
+        np.add.at(table, index, np.concatenate([self.table, other.table]))
+        return WheelSums(labels, table, self.whole + other.whole, np.array([ends.min(), ends.max()]))
+
+    @property
+    def means(self) -> FloatArray:
+        """Mean load, radius and day of each session, shape (n_sessions, 3)."""
+        return np.asarray(self.table[:, [1, 2, 6]] / self.table[:, :1])
 
 
 def _pairs(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -244,9 +275,9 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
     of_slope = blocks.loads_ratio(rho) * dof / square
     scale = np.full(2, of_slope)
     if not estimate.dof_between > 0:
-        n, x = float(sums.runs.n_runs), float(sums.runs.table[:, 1].sum())
+        n, x, _, xx = sums.table[:, :4].sum(axis=0).tolist()
         of_mean = float(2.0 * np.cumsum(rho ** np.arange(n)).sum() - n) / n * dof / square
-        lever = (x / n) ** 2 / (float(sums.runs.table[:, 3].sum()) - x**2 / n)
+        lever = (x / n) ** 2 / (xx - x**2 / n)
         scale[0] = (of_slope * lever + of_mean / n) / (lever + 1.0 / n)
     factor = np.sqrt(np.maximum(scale, 1.0))
     cov_within = estimate.cov_within * np.outer(factor, factor)
@@ -255,11 +286,11 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
 
 
 def _blocks_of(estimate: LineEstimate, sums: WheelSums) -> _Blocks | None:
-    n, x, y, xx, xy, yy = sums.runs.table[:, :6].T
-    pairs, xx1, xy1, yy1, x_both, y_both = sums.order.T
+    n, x, y, xx, xy, yy = sums.table[:, :6].T
+    pairs, xx1, xy1, yy1, x_both, y_both = sums.table[:, 7:].T
     if not estimate.dof_between > 0:
-        n, x, y, xx, xy, yy = sums.runs.table[:, :6].sum(axis=0, keepdims=True).T
-        pairs, xx1, xy1, yy1, x_both, y_both = sums.whole[:, None]
+        n, x, y, xx, xy, yy = sums.table[:, :6].sum(axis=0, keepdims=True).T
+        pairs, xx1, xy1, yy1, x_both, y_both = sums.whole[:6, None]
     x_mean, y_mean = x / n, y / n
     info, cross, square = ((own - n * one * other).sum() for own, one, other in
                            ((xx, x_mean, x_mean), (xy, x_mean, y_mean), (yy, y_mean, y_mean)))  # fmt: skip
@@ -279,76 +310,35 @@ def _blocks_of(estimate: LineEstimate, sums: WheelSums) -> _Blocks | None:
 ROUNDING: Final = 1e-12
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SessionSums:
-    """Sums over each session's runs, for one wheel."""
-
-    #: each once, in order, shape (n_sessions,)
-    session: StrArray
-    #: number of runs; sums of load F, radius r, F^2, F r, r^2, day, day^2, F and r from reference and nominal, shape
-    #: (n_sessions, 8)
-    table: FloatArray
-    load_min_N: float
-    load_max_N: float
-
-    @staticmethod
-    def from_runs(session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray) -> SessionSums:
-        """Return the sums of runs."""
-        labels, index = np.unique(session, return_inverse=True)
-        ones = np.ones_like(load_N)
-        terms = (ones, load_N, radius_m, load_N**2, load_N * radius_m, radius_m**2, day, day**2)
-        table = np.stack([np.bincount(index, term, len(labels)) for term in terms], axis=1).astype(np.float64)
-        return SessionSums(labels, table, float(load_N.min(initial=np.inf)), float(load_N.max(initial=-np.inf)))
-
-    def added(self, other: SessionSums) -> SessionSums:
-        """Return the sums of both, sessions of one label joined."""
-        labels, index = np.unique(np.concatenate([self.session, other.session]), return_inverse=True)
-        table = np.zeros((len(labels), self.table.shape[1]))
-        np.add.at(table, index, np.concatenate([self.table, other.table]))
-        low = min(self.load_min_N, other.load_min_N)
-        return SessionSums(labels, table, low, max(self.load_max_N, other.load_max_N))
-
-    @property
-    def n_runs(self) -> float:
-        """Number of runs."""
-        return float(self.table[:, 0].sum())
-
-    @property
-    def means(self) -> FloatArray:
-        """Mean load, radius and day of each session, shape (n_sessions, 3)."""
-        return np.asarray(self.table[:, [1, 2, 6]] / self.table[:, :1])
-
-    @property
-    def within(self) -> FloatArray:
-        """Sums of squares within sessions: of load, of load times radius, of radius, shape (3,)."""
-        n, x, y, xx, xy, yy = self.table[:, :6].T
-        return np.array([(xx - x * x / n).sum(), (xy - x * y / n).sum(), (yy - y * y / n).sum()])
-
-
-def line_from_sums(sums: SessionSums) -> LineEstimate | None:
+def line_from_sums(sums: WheelSums) -> LineEstimate | None:
     """Return the line of `stratified_line` without HC3; a plain one with one session, or one run in each."""
-    n, n_sessions = sums.n_runs, len(sums.session)
+    sizes, x, y, xx, xy, yy = sums.table[:, :6].T
+    n, n_sessions = float(sizes.sum()), len(sizes)
     if n < 3:
         return None
     if not 2 <= n_sessions < n:
         return _plain(sums)
     x_mean, y_mean, _ = sums.means.T
-    info, cross, square = sums.within
-    if not info + float(np.ptp(x_mean)) ** 2 > ROUNDING * max(float(sums.table[:, 3].sum()), 1.0):
+    info, cross, square = (float(part.sum()) for part in (xx - x * x_mean, xy - x * y_mean, yy - y * y_mean))
+    if not info + float(np.ptp(x_mean)) ** 2 > ROUNDING * max(float(xx.sum()), 1.0):
         return None
     slope = cross / info if info > 0 else 0.0
-    strata = Strata(sums.table[:, 0], x_mean, y_mean, info, slope, square, max(square - slope * cross, 0.0))
+    strata = Strata(sizes, x_mean, y_mean, info, slope, square, max(square - slope * cross, 0.0))
     return line_of_strata(strata) or _plain(sums)
 
 
-def _plain(sums: SessionSums) -> LineEstimate | None:
+def _plain(sums: WheelSums) -> LineEstimate | None:
     n, x, y, xx, xy, yy = sums.table[:, :6].sum(axis=0)
     info = xx - x * x / n
     if n < 3 or not info > ROUNDING * max(xx, 1.0):
         return None
-    slope = (xy - x * y / n) / info
-    variance = max(yy - y * y / n - slope * (xy - x * y / n), 0.0) / (n - 2)
+    coefficients = _least_squares(n, x, y, xx, xy)
+    variance = max(yy - y * y / n - coefficients[1] * (xy - x * y / n), 0.0) / (n - 2)
     mean = x / n
     covariance = variance * (np.array([[mean**2, -mean], [-mean, 1.0]]) / info + np.diag([1.0 / n, 0.0]))
-    coefficients = np.array([y / n - slope * mean, slope])
     return LineEstimate.one_stratum("single", coefficients, covariance, float(n - 2), float(variance))
+
+
+def _least_squares(n: float, x: float, y: float, xx: float, xy: float) -> FloatArray:
+    slope = (xy - x * y / n) / (xx - x * x / n)
+    return np.array([(y - slope * x) / n, slope])

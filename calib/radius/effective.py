@@ -322,7 +322,7 @@ def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[Syste
     """
     rows = [_gradient(source, wheel, radii.distance_m) for source in sources]
     weaves = [getattr(part, f"std_{wheel.wheel}_m") for part in radii.budget if part.name == "weave"]
-    rows += [np.array([_side(wheel) * std, 0.0]) for std in weaves]
+    rows += [np.array([_side(wheel.wheel) * std, 0.0]) for std in weaves]
     if not rows:
         return wheel
     systematic = np.array(rows)
@@ -346,27 +346,43 @@ def systematic_components(
     return tuple(lines)
 
 
-def _side(wheel: WheelFit) -> float:
+def _side(wheel: str) -> float:
     """Return the sign of what a turn of the path does to a wheel's radius."""
-    return -1.0 if wheel.wheel == "left" else 1.0
+    return -1.0 if wheel == "left" else 1.0
 
 
 def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray) -> FloatArray:
-    law, std = wheel.law, source.std
+    along = (_along(wheel, wheel.radius_m), _along(wheel, wheel.radius_m / distance_m))
+    return gradient(source, wheel.wheel, wheel.law.reference_load_N, wheel.law.slope_m_per_N, *along)
+
+
+def gradient(
+    source: SystematicSource,
+    wheel: str,
+    reference_load_N: float,
+    slope_m_per_N: float,
+    radius: FloatArray,
+    reach: FloatArray,
+) -> FloatArray:
+    """Return what a standard uncertainty of a source moves the coefficients by, shape (2,); see `with_systematic`.
+
+    `radius`, `reach`: lines of radius and of radius over distance along the load, shape (2,).
+    """
+    std = source.std
     match source.section, source.key:
         case "rangefinder", "scale":
-            return std * _along(wheel, wheel.radius_m)
+            return std * radius
         case "rangefinder", "offset_m":
-            return std * _along(wheel, wheel.radius_m / distance_m)
+            return std * reach
         case "path", "apart_m":
-            return 0.5 * _side(wheel) * std * _along(wheel, wheel.radius_m / distance_m)
+            return 0.5 * _side(wheel) * std * reach
         case "rangefinder", "beam_rad":
             # a beam at the angle a measures the distance over cos a: root mean square of a^2 / 2
-            return 0.5 * math.sqrt(_KURTOSIS[source.distribution]) * std**2 * _along(wheel, wheel.radius_m)
+            return 0.5 * math.sqrt(_KURTOSIS[source.distribution]) * std**2 * radius
         case "weighing", "scale":
-            return -std * law.slope_m_per_N * np.array([law.reference_load_N, 1.0])
+            return -std * slope_m_per_N * np.array([reference_load_N, 1.0])
         case _:
-            return np.array([-std * law.slope_m_per_N, 0.0])
+            return np.array([-std * slope_m_per_N, 0.0])
 
 
 def observed_components(radii: EffectiveRadii, left: WheelFit, right: WheelFit) -> tuple[Component, ...]:

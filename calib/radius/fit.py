@@ -77,12 +77,12 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
     return Fit(name, simulated, wheels[0], wheels[1], radii, notes=radii.notes)
 
 
-def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -> Fit:
+def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, noted: bool = True) -> Fit:
     """Return the fit of a campaign: radii, both laws, static radii where measured.
 
     Static radii are the columns ``static_radius_left_m`` and ``static_radius_right_m``; `reference_load_N`: see
-    `fit_law`; None: the model's. Raises RefusedError where fewer than three runs can be used; ImplausibleError where
-    units or settings that cannot be are the reason.
+    `fit_law`; None: the model's; `noted`: with what is said of the campaign first. Raises RefusedError where fewer than
+    three runs can be used; ImplausibleError where units or settings that cannot be are the reason.
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:
@@ -124,7 +124,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None) -
         right=wheels["right"],
         radii=replace(fit.radii, budget=(*fit.radii.budget, *effective.systematic_components(wheels, radii, sources))),
         static=static,
-        notes=(*notes_for_results(campaign), *fit.notes, *notes),
+        notes=(*(notes_for_results(campaign) if noted else ()), *fit.notes, *notes),
         setup=Setup(*stated, conditions, assumed_settings(campaign) | unweighed),
     )
 

@@ -29,8 +29,12 @@ def records_of(fleet: PlannedFleet, rng: np.random.Generator) -> Iterator[Vehicl
         for side in ("left", "right"):
             radius = column["distance_m"] / (2 * np.pi * column[f"counts_{side}"] / COUNTS_PER_REV)
             load = column[f"load_{side}_N"] - REFERENCE_N
-            sides.append(WheelSums.from_runs(column["session"], load, radius - NOMINAL_M, column["day"]))
-        yield record_of(name, [PartSums(name, "", REFERENCE_N, NOMINAL_M, sides[0], sides[1])])
+            sides.append(
+                WheelSums.from_runs(
+                    column["session"], load, radius - NOMINAL_M, column["day"], radius / column["distance_m"]
+                )
+            )
+        yield record_of(name, [PartSums(name, "", REFERENCE_N, NOMINAL_M, sides)])
 
 
 @dataclass

@@ -94,7 +94,7 @@ def test_a_kept_line_that_was_changed_is_read_anew(fleet: Path, tmp_path: Path) 
     right = fit_fleet(fleet, tmp_path / "out").to_dict()
     kept = tmp_path / "out" / SUMS
     first, second = kept.read_text().splitlines(keepends=True)
-    kept.write_text(re.sub(r'("load_min_N": \d)', r"\g<1>9", first) + second)
+    kept.write_text(re.sub(r'("loads_N": \[\d)', r"\g<1>9", first) + second)
     again = fit_fleet(fleet, tmp_path / "out")
     assert (again.n_read, again.n_kept) == (1, 1)
     assert again.to_dict() == right

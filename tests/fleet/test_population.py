@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.special import stdtr
 
-from calib.fleet.comparison import any_false, difference_of, false_discovery, outlying, population, quantities_of
+from calib.fleet.comparison import (
+    any_false,
+    difference_of,
+    false_discovery,
+    moderated,
+    outlying,
+    population,
+    quantities_of,
+)
 
 #: 400 fleets: the standard error of a share of 95 % is 1.1 %; three of them either way
 CAMPAIGNS = 400
@@ -61,6 +70,30 @@ def test_a_shared_difference_is_that_of_welch() -> None:
     difference = difference_of(values, inside)
     assert difference.ci95 == pytest.approx((size - half, size + half), rel=1e-9)
     assert difference.p_value == pytest.approx(2 * stdtr(dof, -abs(size) / np.sqrt(terms.sum())), rel=1e-9)
+
+
+@pytest.mark.parametrize(("spread", "least"), [(0.0, 0.9), (0.3, 0.85)])
+def test_drift_is_known_beside_the_scatter_of_the_whole_fleet(spread: float, least: float) -> None:
+    """Five sessions leave three degrees of freedom; by them alone one drift in ten stands.
+
+    The two wheels of a vehicle share half of their sessions' scatter, whose size varies between vehicles.
+    """
+    rng = np.random.default_rng(6)
+    day = np.arange(5.0) - 2.0
+    found = false = 0
+    for _ in range(200):
+        size = np.exp(spread * rng.standard_normal((50, 1, 1)))
+        level = size * (rng.standard_normal((50, 1, 5)) + rng.standard_normal((50, 2, 5)))
+        level[:3] += 6.0 * day
+        level = (level - level.mean(axis=2, keepdims=True)).reshape(100, 5)
+        rate = level @ day / 10.0
+        own = np.sum((level - np.outer(rate, day)) ** 2, axis=1) / 3.0
+        variance, dof = moderated(own, np.full(100, 3.0))
+        assert (variance >= own).all()
+        stands = any_false(2.0 * stdtr(dof, -np.abs(rate) / np.sqrt(variance / 10.0))).reshape(50, 2).any(axis=1)
+        found, false = found + stands[:3].sum(), false + stands[3:].any()
+    assert found / 600 > least
+    assert false / 200 <= MOST_FALSE_FLEETS
 
 
 def test_equal_vehicles_differ_in_nothing() -> None:

@@ -21,27 +21,84 @@ from calib.fleet.store import SUMS, one_line
 from calib.fleet.workers import Engine, engine
 from calib.plant.fleet import FleetSize, FleetTruth, make_fleet
 from calib.radius.fit import fit_campaign
+from calib.radius.result import Fit
 from calib.reporting.formatting import to_text
 from calib.reporting.topics.fleet import fleet_content
 
 ROOT = Path(__file__).resolve().parents[2]
-#: see tests/radius/test_session_sums.py
-SUMS_TOLERANCE = 1e-8
+SAMPLE = ROOT / "sample_runs" / "corridor_crossed"
+UNCERTAINTY = """
+[uncertainty]
+rangefinder = { scale = { std = 1e-4 }, offset_m = { half_width = 1e-3, distribution = "rectangular" } }
+path = { apart_m = { std = 2e-3, dof = 5 } }
+weighing = { scale = { std = 1e-2 } }
+"""
+
+
+def _figures(value: dict[str, Any], side: str) -> list[float]:
+    quantities = (f"radius_{side}_m", f"slope_{side}_m_per_N")
+    ends = (f"radius_{side}_ci95_m", f"slope_{side}_ci95_m_per_N")
+    return [*(value[name] for name in quantities), *(end for name in ends for end in value[name])]
+
+
+def _of_fit(fit: Fit, side: str) -> list[float]:
+    wheel = fit.to_dict()["wheels"][side]
+    return [
+        *(wheel[name] for name in ("radius_ref_m", "slope_m_per_N")),
+        *(end for name in ("radius_ref_ci95_m", "slope_ci95_m_per_N") for end in wheel[name]),
+    ]
 
 
 def _bytes(fleet: Fleet) -> str:
     return to_json(fleet.to_dict())
 
 
-def test_a_vehicle_of_a_fleet_gets_the_law_that_fit_gives(tmp_path: Path) -> None:
-    """Sums lose nothing: radius and slope of the sample campaign, and their intervals."""
-    shutil.copytree(ROOT / "sample_runs" / "corridor_crossed", tmp_path / "fleet" / "v1")
-    record = fit_fleet(tmp_path / "fleet", tmp_path / "out").records[0]
-    fit = fit_campaign(read_campaign(tmp_path / "fleet" / "v1"))
-    assert record.left is not None
-    assert record.left.radius_ref_m == pytest.approx(fit.left.law.radius_ref_m, rel=SUMS_TOLERANCE)
-    assert record.left.slope_m_per_N == pytest.approx(fit.left.law.slope_m_per_N, rel=1e-6)
-    np.testing.assert_allclose(record.left.slope_ci95_m_per_N, fit.left.slope_ci95_m_per_N, rtol=1e-5)
+def test_a_vehicle_of_a_fleet_has_the_figures_that_fit_gives(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With logs and without, with declared uncertainty, by a link, and wherever the command runs; bad ones are named.
+
+    One vehicle scatters with the load (HC3), one has too few runs, one a single load.
+    """
+    fleet = tmp_path / "fleet"
+    runs = pd.read_csv(SAMPLE / "runs.csv").drop(columns=["log"])
+    rng = np.random.default_rng(3)
+    heavy = 5e-6 * rng.choice((-1.0, 1.0), len(runs)) * (runs["load_left_N"] - 300.0)
+    tables = {"declared": runs, "plain": runs, "uneven": runs.assign(distance_m=runs["distance_m"] * (1.0 + heavy)),
+              "few": runs[:2], "one_load": runs.assign(load_left_N=700.0, load_right_N=700.0)}  # fmt: skip
+    shutil.copytree(SAMPLE, fleet / "logs")
+    for name, table in tables.items():
+        (fleet / name).mkdir()
+        stated = UNCERTAINTY if name == "declared" else ""
+        (fleet / name / "campaign.toml").write_text((SAMPLE / "campaign.toml").read_text() + stated)
+        table.to_csv(fleet / name / "runs.csv", index=False)
+    (fleet / "link").symlink_to("logs")
+    absolute = fit_fleet(fleet, tmp_path / "out")
+    monkeypatch.chdir(tmp_path)
+    relative = fit_fleet(Path("fleet"), tmp_path / "other")
+    assert _bytes(relative) == _bytes(absolute)
+    values = {one["id"]: one for one in absolute.to_dict()["vehicles"]}
+    assert "found 2 usable runs" in values.pop("few")["why"]
+    assert "two loads or more" in values.pop("one_load")["why"]
+    for name, value in values.items():
+        fit = fit_campaign(read_campaign(fleet / name))
+        assert tuple(value["failed_checks"]) == fit.failed
+        for side in ("left", "right"):
+            assert _figures(value, side) == pytest.approx(_of_fit(fit, side), rel=1e-9)
+    assert fit_campaign(read_campaign(fleet / "uneven")).left.estimate.hc3
+
+
+def test_a_table_of_a_dataset_has_the_figures_that_fit_gives(tmp_path: Path) -> None:
+    """Sums lose nothing, of what ``[uncertainty]`` declares either."""
+    runs = pd.read_csv(SAMPLE / "runs.csv").drop(columns=["log"])
+    folders = [tmp_path / "one", tmp_path / "fleet" / "vehicle=v1"]
+    for folder, settings in zip(folders, (folders[0], tmp_path / "fleet"), strict=True):
+        folder.mkdir(parents=True)
+        (settings / "campaign.toml").write_text((SAMPLE / "campaign.toml").read_text() + UNCERTAINTY)
+    runs.to_csv(folders[0] / "runs.csv", index=False)
+    runs.to_parquet(folders[1] / "runs.parquet")
+    [value] = fit_fleet(tmp_path / "fleet", tmp_path / "out").to_dict()["vehicles"]
+    fit = fit_campaign(read_campaign(folders[0]))
+    for side in ("left", "right"):
+        assert _figures(value, side) == pytest.approx(_of_fit(fit, side), rel=1e-8)
 
 
 def test_workers_and_order_change_nothing(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:

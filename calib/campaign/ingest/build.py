@@ -12,7 +12,7 @@ import numpy as np
 from calib.campaign.ingest.contents import listed_files
 from calib.campaign.ingest.logs import MappedLog, read_mapped
 from calib.campaign.ingest.mapping import SHEET, Mapping, bad_line, read_mapping
-from calib.campaign.ingest.runs import mapped_runs, match_logs, names_runs, runs_of_files, with_lookups
+from calib.campaign.ingest.runs import files_of_sheets, mapped_runs, match_logs, names_runs, runs_of_files, with_lookups
 from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
 from calib.campaign.logs import LogStack, detect_wrap_bits
 from calib.campaign.model import Border, Campaign, Note, RunTable, stacked
@@ -148,7 +148,9 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
     elif table is not None and work.mapping.table.sheets:
         runs = _runs_of_sheets(first, work)
     elif table is not None:
-        table, work.mapping = with_lookups(table, work.mapping, first, work.border)
+        sheets = files_of_sheets(work.mapping, first, files, work.hashes)
+        files = [path for path in files if path not in sheets.values()]
+        table, work.mapping = with_lookups(table, work.mapping, first, work.border, sheets)
         runs = mapped_runs(table, work.mapping, work.settings.encoder, str(first), work.border)
     if work.mapping.cut is not None:
         if not files:
@@ -247,7 +249,7 @@ def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
         work.border.notes.extend(raw.notes)
         if any(line.column == SHEET for line in given.columns.values()):
             raw = replace(raw, columns={SHEET: object_array([sheet] * len(raw.line)), **raw.columns})
-        raw, mapping = with_lookups(raw, work.mapping, path, work.border)
+        raw, mapping = with_lookups(raw, work.mapping, path, work.border, {})
         tables.append(mapped_runs(raw, mapping, work.settings.encoder, shown, work.border))
     named = [str(run_id) for runs in tables for run_id in runs.run_id]
     if len({*named}) < len(named):

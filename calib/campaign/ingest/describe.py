@@ -11,7 +11,8 @@ from typing import Final
 from calib.campaign.ingest.contents import FileContents, described, file_contents, listed_files, together, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
-from calib.campaign.ingest.proposal_table import file_lines, table_lines
+from calib.campaign.ingest.proposal_table import file_lines, run_column, table_lines
+from calib.campaign.ingest.runs import WORKBOOK
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.settings import recognise
 from calib.campaign.settings_file import FORMAT, STATED, to_toml, toml_value
@@ -74,12 +75,13 @@ class Description:
     table: FileContents | None
     mapping: tuple[str, ...]
     #: as the command line takes them
-    sources: str
+    sources: tuple[str, ...]
 
     def to_toml(self) -> str:
         """Return the description as remarks above the proposed mapping: TOML that ingest takes."""
         lines = ["# Contents of the files, and a proposed mapping. Check every line, then:"]
-        lines += wrapped(f"calib ingest {self.sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
+        sources = " ".join(f"'{source}'" if re.search(r"\s", source) else source for source in self.sources)
+        lines += wrapped(f"calib ingest {sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
         # logs alike are described once
         apart = any(not file.alike(self.files[0]) for file in self.files)
@@ -116,12 +118,20 @@ def describe(sources: Sequence[Path]) -> Description:
     logs = [file for file in files if file is not table]
     alike = table is not None and not _has_clock(table) and all(file.alike(table) for file in files)
     whole = replace(table, columns=together(files)) if table is not None and alike else table
-    lines = _mapping_lines(whole, [] if alike else logs)
+    beside = [file for file in logs if table is not None and not alike and _may_be_joined(file, table)]
+    if whole is not None:
+        whole = replace(whole, others={**whole.others, **{Path(file.name).stem: file.columns for file in beside}})
+    lines = _mapping_lines(whole, [] if alike else [file for file in logs if file not in beside])
     # the table has to be named first, also one found in a folder
     given = [str(source) for source in sources]
     ordered = given if table is None else [table.name, *(source for source in given if source != table.name)]
-    command = " ".join(f"'{source}'" if re.search(r"\s", source) else source for source in ordered)
-    return Description((*([table] if table else ()), *logs), len(paths), table, tuple(lines), command)
+    return Description((*([table] if table else ()), *logs), len(paths), table, tuple(lines), tuple(ordered))
+
+
+def _may_be_joined(file: FileContents, table: FileContents) -> bool:
+    """Return whether a file has a row a run beside the run table, as the counts of one wheel."""
+    of_runs = run_column(table) is not None and run_column(file) is not None and file.n_rows >= table.n_rows
+    return of_runs and not _has_clock(file) and not table.name.endswith(WORKBOOK)
 
 
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:

@@ -31,8 +31,12 @@ _BEHIND: Final = re.compile(
 _AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")
 _AXLES: Final = {"f": "front", "r": "rear", "b": "rear"}
 _SIDES: Final = {
-    "left": re.compile(r"(?:^|_)(l|li|left|links|linkes|linker|lhs|g|gauche|izq|izquierd[ao]|sx|sinistr[ao])(?=_|$)"),
-    "right": re.compile(r"(?:^|_)(r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao])(?=_|$)"),
+    "left": re.compile(
+        r"(?:^|_)([rh]?l|li|left|links|linkes|linker|lhs|g|gauche|izq|izquierd[ao]|sx|sinistr[ao])(?=_|$)"
+    ),
+    "right": re.compile(
+        r"(?:^|_)([rh]?r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao])(?=_|$)"
+    ),
 }
 
 _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from itertools import chain, takewhile
+from itertools import takewhile
 from pathlib import Path
 from typing import Final
 
@@ -61,11 +61,11 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
     targets = _targets(table)
     if set(WHEEL_LOADS) & set(targets.values()):
         passed_over = [*passed_over, *(column for column in table.columns if targets[column.name] == _AXLE)]
-    readings, sided = _reading_lines(table.columns), _sided_lines(table)
-    lines += [*readings.values(), *chain.from_iterable(sided.values())]
-    named = {*readings, *sided}
+    readings = _reading_lines(table.columns)
+    lines += readings.values()
+    named = {*readings}
     for column in table.columns:
-        if (guesses.reading_of(column.name) or ("", ""))[0] in readings or _of_wheel(column, "left") in sided:
+        if (guesses.reading_of(column.name) or ("", ""))[0] in readings:
             continue
         directions = [direction_of(text) for text in column.texts]
         is_direction = 0 < len(directions) <= 2 and all(directions)
@@ -88,7 +88,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
         else:
             own.append(column.name)
     lines += _lookup_lines(table, named)
-    if table.alike_sheets and not sided:
+    if table.alike_sheets and not _sheets_of_sides(table):
         lines += _sheet_lines(table.alike_sheets, named)
     if "run_id" not in named:
         number = 'run_id = {value = "r{n:03}"}   # no column names the runs: they are numbered'
@@ -105,6 +105,8 @@ def _targets(table: FileContents) -> dict[str, str | None]:
     known = set(targets.values())
     if {"payload_kg", "distance_m"} <= known and not set(WHEEL_LOADS) & known:
         targets |= {one.name: targets[one.name] or _place(one) for one in table.columns}
+    if _sheets_of_sides(table):
+        targets |= {one.name: _of_wheel(one, "left") or targets[one.name] for one in table.columns}
     days = table.columns[0].texts if SECTION in targets else ()
     if days and "session" not in known and guessed_table_column(re.sub(r"\W*\d+", "", days[0])) == "session":
         targets[SECTION] = "session"
@@ -134,27 +136,15 @@ def _sheets_of_sides(table: FileContents) -> dict[str, str]:
     return sides if set(sides) == {"left", "right"} and len(table.alike_sheets) == len(sides) else {}
 
 
-def _of_wheel(column: ColumnContents, side: str) -> str | None:
+def _of_wheel(column: ColumnContents, side: str | None) -> str | None:
     name, unit = bracketed(column.name)
     target = guessed_table_column(f"{name} {side}" + (f" [{unit}]" if unit else ""))
-    return target if target and side in target else None
+    return target if target and side and side in target else None
 
 
-def _run_column(table: FileContents) -> ColumnContents | None:
+def run_column(table: FileContents) -> ColumnContents | None:
+    """Return the column that names the runs."""
     return next((column for column in table.columns if guessed_table_column(column.name) == "run_id"), None)
-
-
-def _sided_lines(table: FileContents) -> dict[str, list[str]]:
-    sides, runs = _sheets_of_sides(table), _run_column(table)
-    if not sides or runs is None:
-        return {}
-    other: dict[str, object] = {"sheet": sides["right"], "by": runs.name}
-    lines: dict[str, list[str]] = {}
-    for column in table.columns:
-        left, right = _of_wheel(column, "left"), _of_wheel(column, "right")
-        if left and right and column.kind == "number":
-            lines[left] = [_column_line(column, left, {}), _column_line(column, right, other)]
-    return lines
 
 
 def _sheet_lines(sheets: Sequence[str], named: set[str]) -> list[str]:
@@ -223,15 +213,15 @@ def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
     lines = []
     for sheet, columns in table.others.items():
         pairs = ((by, key) for by in table.columns for key in columns if _same_labels(by, key))
-        # alike sheets hold runs, or those of a wheel
-        if sheet in table.alike_sheets or (pair := next(pairs, None)) is None:
+        # alike sheets hold runs, but for those of a wheel
+        if (sheet in table.alike_sheets and not _sheets_of_sides(table)) or (pair := next(pairs, None)) is None:
             continue
         by, key = pair
         looked_up: dict[str, object] = {"sheet": sheet, "by": by.name}
         if stem_and_unit(key.name)[0] != stem_and_unit(by.name)[0]:
             looked_up["key"] = key.name
         for column in (column for column in columns if column is not key):
-            name = guessed_table_column(column.name)
+            name = _of_wheel(column, guesses.side_of(sheet)) or guessed_table_column(column.name)
             if name and name not in {*named, *LABEL_COLUMNS} and _may_be(name, column):
                 named.add(name)
                 lines.append(_column_line(column, name, looked_up))
@@ -240,6 +230,8 @@ def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
 
 def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
     shared = set(map(plain_text, by.texts)) & set(map(plain_text, key.texts))
+    if guessed_table_column(by.name) == guessed_table_column(key.name) == "run_id":
+        return True
     return by.kind == key.kind == "text" and len(shared) >= min(2, len(by.texts)) > 0
 
 
@@ -269,7 +261,7 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
 
 def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
     """Return patterns of the logs' names, where the runs' names do not say them."""
-    column = _run_column(table) if table else None
+    column = run_column(table) if table else None
     run_ids = column.texts if column is not None and column.kind == "text" else ()
     stems = [Path(log.name).stem for log in logs]
     if several := files_of_a_run(logs):

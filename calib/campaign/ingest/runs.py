@@ -33,6 +33,8 @@ from calib.io import sha256_file
 
 #: in a message
 _LISTED: Final = 8
+#: a table of the only format with sheets
+WORKBOOK: Final = ".xlsx"
 
 
 def without_unit(name: str) -> str:
@@ -56,23 +58,25 @@ def resolved(lines: MappingType[str, MappedColumn], names: Collection[str]) -> d
     return {target: whole(line) for target, line in lines.items()}
 
 
-def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) -> tuple[RawTable, Mapping]:
+def with_lookups(
+    raw: RawTable, mapping: Mapping, path: Path, border: Border, beside: MappingType[str, Path]
+) -> tuple[RawTable, Mapping]:
     """Return the run table with looked-up columns and filled cells, and the mapping's lines.
 
-    `path`: the workbook. Raises BadFileError where a sheet, column or label is missing.
+    `path`: the run table's file; `beside`: see `files_of_sheets`. Raises BadFileError where a sheet, column or label is
+    missing.
     """
-    shown = str(path)
     lines, columns = dict(mapping.table.columns), dict(raw.columns)
     lines |= resolved({target: line for target, line in lines.items() if not line.sheet}, raw.columns)
-    wanted = {line.sheet for line in lines.values() if line.sheet}
-    sheets = {name: read_table(path, shown, None, Layout(sheet=name, lab=True)) for name in sorted(wanted)}
+    wanted = {line.sheet: beside.get(line.sheet, path) for line in lines.values() if line.sheet}
+    sheets = {name: read_table(file, str(file), None, Layout(sheet=name, lab=True)) for name, file in wanted.items()}
     for target, line in lines.items():
         if line.sheet:
             sheet = sheets[line.sheet]
             column = whole_name(line.column, sheet.columns)
             line = line.model_copy(update={"column": column})
-            name = column if column not in raw.columns else f"{line.sheet}: {column}"
-            shown_sheet, where = f"{shown}, sheet {line.sheet!r}", f"{mapping.shown}, {target}"
+            name = column if column not in columns else f"{line.sheet}: {column}"
+            shown_sheet, where = f"{wanted[line.sheet]}, sheet {line.sheet!r}", f"{mapping.shown}, {target}"
             columns[name] = _looked_up(raw, sheet, line, shown_sheet, where)
             plain = {"column": name, "sheet": "", "by": "", "unit": line.unit_for(target)}
             lines[target] = line.model_copy(update=plain)
@@ -80,9 +84,23 @@ def with_lookups(raw: RawTable, mapping: Mapping, path: Path, border: Border) ->
             columns[line.column] = _filled_down(columns[line.column])
     session = lines["session"].column if "session" in lines else "session"
     if session in columns:
-        _note_empty_sessions(columns[session], raw, shown, border)
+        _note_empty_sessions(columns[session], raw, str(path), border)
     table = mapping.table.model_copy(update={"columns": lines})
     return replace(raw, columns=columns), replace(mapping, table=table)
+
+
+def files_of_sheets(mapping: Mapping, path: Path, files: Sequence[Path], hashes: dict[str, str]) -> dict[str, Path]:
+    """Return the files that a mapping's sheets name where the run table at `path` is no workbook; add their hashes."""
+    found: dict[str, Path] = {}
+    for target, line in mapping.table.columns.items():
+        if line.sheet and path.suffix.lower() != WORKBOOK:
+            named = [file for file in files if line.sheet in {file.name, file.stem}]
+            if len(named) != 1:
+                expected = f"the name of one further source, as {path.name} has no sheets"
+                raise bad_line(mapping.shown, "table", f"{target}.sheet", line.sheet, expected)
+            found[line.sheet] = named[0]
+            hashes[str(named[0])] = sha256_file(named[0])
+    return found
 
 
 def _looked_up(raw: RawTable, sheet: RawTable, line: MappedColumn, shown: str, where: str) -> npt.NDArray[Any]:

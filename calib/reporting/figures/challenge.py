@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from calib.challenge.score import TARGETS, Score, Share, wilson
 from calib.errors import BadInputError
-from calib.fleet.run import Fleet
+from calib.fleet.run import Fleet, drifts_of
 from calib.fleet.vehicle import WHEELS, Drift, VehicleRecord
 from calib.io import refuse_existing, write_bytes
 from calib.reporting.blocks import Drawings
@@ -157,9 +157,8 @@ def fleet_figures(fleet: Fleet) -> Drawings:
     if not fitted:
         return {}
     odd = {outlier.vehicle for outlier in fleet.view.outliers}
-    wheels = [(record.vehicle, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
     named = {(one.vehicle, one.wheel) for one in fleet.view.drifting}
-    drifts = [(drift, (vehicle, side) in named) for vehicle, side, drift in wheels if drift is not None]
+    drifts = [(drift, (record.vehicle, side) in named) for record, side, drift in drifts_of(fitted)]
     figures = {"distribution": partial(_distribution, fitted, odd)}
     return figures | ({"drift": partial(_drift, *zip(*drifts, strict=True))} if drifts else {})
 

@@ -73,6 +73,10 @@ def test_a_table_of_unknown_words_beside_logs_is_the_run_table(tmp_path: Path) -
         ("Load cell L [daN]", "Load cell R [daN]", "load_{}_N"),
         ("Force on wheel left [N]", "Force on wheel right [N]", "load_{}_N"),
         ("Left wheel load (lbf)", "Right wheel load (lbf)", "load_{}_N"),
+        ("Radlast hinten links [kg]", "Radlast hinten rechts [kg]", "load_{}_N"),
+        ("F RL (kN)", "F RR (kN)", "load_{}_N"),
+        ("Wheel load HL [N]", "Wheel load HR [N]", "load_{}_N"),
+        ("Turns RL", "Turns RR", "counts_{}"),
     ],
 )
 def test_forces_on_wheels_are_found(left: str, right: str, target: str) -> None:
@@ -134,6 +138,8 @@ def test_a_heading_in_words_is_the_direction(tmp_path: Path) -> None:
         ("Temperatuur", "temperature_C"),
         ("Richting", "direction"),
         ("Reihe", None),
+        ("Radlast vorn links [kg]", None),
+        ("F FL (kN)", None),
     ],
 )
 def test_usual_words_of_run_tables_are_found(name: str, target: str | None) -> None:

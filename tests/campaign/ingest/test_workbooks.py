@@ -127,6 +127,35 @@ def test_sheets_of_a_wheel_each_are_joined_by_the_run(tmp_path: Path) -> None:
     np.testing.assert_array_equal(runs.number("load_right_N"), [300, 301, 302])
 
 
+def test_files_of_a_wheel_each_are_joined_by_the_run(tmp_path: Path) -> None:
+    """In an order of their own and under one name; the command that is proposed names the run table first."""
+    folder = tmp_path / "lab"
+    folder.mkdir()
+    (folder / "runs.csv").write_text("run,distance_m\n" + "".join(f"r{n},{WAY_M[n]}\n" for n in range(3)))
+    for side, counts in (("left", LEFT), ("right", RIGHT)):
+        rows = [f"r{n},{counts[n]}\n" for n in ((2, 0, 1) if side == "left" else (1, 2, 0))]
+        (folder / f"counter_{side}.csv").write_text("run,counts\n" + "".join(rows))
+    description = describe([folder])
+    assert description.sources == (str(folder / "runs.csv"), str(folder))
+    mapping = tmp_path / "m.toml"
+    mapping.write_text(description.to_toml())
+    sources = [Path(source) for source in description.sources]
+    ingested = ingest(sources, tmp_path / "c", mapping=mapping)
+    np.testing.assert_array_equal(ingested.campaign.runs.number("counts_left"), LEFT)
+    np.testing.assert_array_equal(ingested.campaign.runs.number("counts_right"), RIGHT)
+    assert str(folder / "counter_left.csv") in ingested.sources
+    with pytest.raises(BadFileError, match=r"found 'counter_left'; expected the name of one further source"):
+        ingest(sources[:1], tmp_path / "d", mapping=mapping)
+
+
+def test_a_row_for_each_quantity_is_told_from_a_row_pasted_twice(tmp_path: Path) -> None:
+    table = tmp_path / "long.csv"
+    rows = (f"r{n},{what},{n}.5,{n}.7\n" for n in range(3) for what in ("turns", "load", "distance"))
+    table.write_text("run_id,quantity,rear left,rear right\n" + "".join(rows))
+    with pytest.raises(BadFileError, match="give what stands in several rows of a run columns of their own"):
+        ingest([table], tmp_path / "c")
+
+
 def test_turns_and_the_load_of_an_axle_are_proposed(tmp_path: Path) -> None:
     """Half of the axle's load on each wheel; turns become counts."""
     rows = [f"{n + 1};aller;61,2;{100 * WAY_M[n]:.2f};{LEFT[n] / 4096:.6f};{RIGHT[n] / 4096:.6f}" for n in range(3)]
