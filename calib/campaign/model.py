@@ -3,8 +3,6 @@
 Arrays over all runs, and all logs end to end, so that later stages work on whole campaigns at once.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -76,7 +74,7 @@ class Note:
     run_id: str = ""
 
     @staticmethod
-    def of(where: str, text: str, code: str, level: str = "suspicious", run_id: str = "") -> Note:
+    def of(where: str, text: str, code: str, level: str = "suspicious", run_id: str = "") -> "Note":
         """Return a note, its text made one line where it is written over several; see `Note`."""
         return Note(level, where, re.sub(r"\n\s*", " ", text) if "\n" in text else text, code, run_id)
 
@@ -140,11 +138,11 @@ class RunTable:
         return tuple(name for name in self.numbers if name not in NUMERIC_COLUMNS)
 
     @staticmethod
-    def empty() -> RunTable:
+    def empty() -> "RunTable":
         """Return a table without runs."""
         return RunTable({"run_id": np.zeros(0, np.str_)}, {}, np.zeros(0, np.bool_), np.zeros(0, np.int64))
 
-    def frame(self) -> DataFrame:
+    def frame(self) -> "DataFrame":
         """Return a pandas table, a row a run as driven; SI units, NaN where unknown."""
         from pandas import DataFrame
 
@@ -156,7 +154,7 @@ class RunTable:
     def _repr_html_(self) -> str:
         return str(self.frame().to_html(max_rows=12))
 
-    def select(self, keep: ArrayLike) -> RunTable:
+    def select(self, keep: ArrayLike) -> "RunTable":
         """Return the rows that `keep` (bool mask or indices) picks."""
         index = np.asarray(keep)
         labels = {name: column[index] for name, column in self.labels.items()}
@@ -268,7 +266,7 @@ class Logs:
         """Yield the number and the columns of each run whose log has `at_least` samples."""
         return ((run, self.of(run)) for run in np.flatnonzero(self.lengths >= at_least).tolist())
 
-    def select(self, keep: ArrayLike) -> Logs:
+    def select(self, keep: ArrayLike) -> "Logs":
         """Return the logs of the runs that `keep` (bool mask or indices) picks."""
         index = np.asarray(keep)
         index = np.flatnonzero(index) if index.dtype == bool else index
@@ -285,7 +283,7 @@ class Logs:
         return Logs(offsets=offsets, columns=columns, speeds=self.speeds)
 
     @staticmethod
-    def empty(n_runs: int) -> Logs:
+    def empty(n_runs: int) -> "Logs":
         """Return `n_runs` runs without logs."""
         return Logs(offsets=np.zeros(n_runs + 1, dtype=np.int64), columns={})
 
@@ -336,19 +334,19 @@ class Campaign:
     odometry: Odometry = field(default_factory=Odometry)
     assumed: tuple[str, ...] = ()
 
-    def select(self, keep: ArrayLike) -> Campaign:
+    def select(self, keep: ArrayLike) -> "Campaign":
         """Return the campaign with the runs that `keep` (bool mask or indices) picks."""
         return replace(self, runs=self.runs.select(keep), logs=self.logs.select(keep))
 
-    def included(self) -> Campaign:
+    def included(self) -> "Campaign":
         """Return the campaign without the rows flagged as excluded."""
         return self if not self.runs.excluded.any() else self.select(~self.runs.excluded)
 
-    def frame(self) -> DataFrame:
+    def frame(self) -> "DataFrame":
         """Return the run table as a pandas table; see `RunTable.frame`."""
         return self.runs.frame()
 
-    def log(self, run_id: str) -> DataFrame:
+    def log(self, run_id: str) -> "DataFrame":
         """Return a run's log as a pandas table, a row a sample: seconds from the run's start, unwrapped counts.
 
         Raises BadInputError without such a run or log.

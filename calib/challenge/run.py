@@ -1,7 +1,5 @@
 """Diagnose every case, and try each fix on a fresh campaign; the truth stays closed."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
 Achieved = dict[str, float | None]
 
 
-def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
+def achieved(diagnosis: "Diagnosis", fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
     """Return the gap of a fresh campaign of the same truth under the model alone and under the fix, not refitted.
 
     ``before_rms_m``, ``after_rms_m`` of the end position (else of the distance); ``before_over_floor``,
@@ -63,8 +61,8 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
 
 
 def _forms_there(
-    diagnosis: Diagnosis, there: Observations, fresh: Campaign, exclude: tuple[str, ...]
-) -> tuple[Form, ...] | None:
+    diagnosis: "Diagnosis", there: "Observations", fresh: Campaign, exclude: tuple[str, ...]
+) -> "tuple[Form, ...] | None":
     from calib.gap.effects.library import library, matching_form
 
     effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
@@ -80,7 +78,7 @@ def _forms_there(
     return tuple(matches)
 
 
-def _rms(there: Observations, values: FloatArray) -> float | None:
+def _rms(there: "Observations", values: FloatArray) -> float | None:
     for channels in ([1, 2], [0]):
         known = there.usable[:, channels].all(axis=1)
         if known.any():

@@ -1,7 +1,5 @@
 """`calib diagnose`, `effects`, `plan`: where the sim-to-real gap lies, what causes it, which runs show it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -96,7 +94,7 @@ _UNSETTLED: Final = frozenset({"diagnose", "diagnose unknown", "diagnose wrong",
 
 
 def _apply(
-    diagnosis: Diagnosis, campaign: Campaign, effects: tuple[EffectSection, ...] | None, target: Path
+    diagnosis: "Diagnosis", campaign: "Campaign", effects: "tuple[EffectSection, ...] | None", target: Path
 ) -> str | None:
     """Write the model with its correction, and say so where that is not recommended or nothing is to be written.
 
@@ -132,8 +130,8 @@ def _apply(
 
 
 def _simulated(
-    campaign: Campaign, simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: Progress
-) -> tuple[Diagnosis, str]:
+    campaign: "Campaign", simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: "Progress"
+) -> "tuple[Diagnosis, str]":
     from calib.campaign.log_reading import cache_folder
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE
@@ -156,7 +154,7 @@ def _simulated(
     return done.diagnosis, done.runs.sentence
 
 
-def _check_excluded(exclude: tuple[str, ...], campaign: Campaign) -> None:
+def _check_excluded(exclude: tuple[str, ...], campaign: "Campaign") -> None:
     from calib.gap.effects.library import REGISTRY, check_excluded
     from calib.gap.observations.from_campaign import observations_of
 
@@ -200,7 +198,7 @@ def effects(
     terminal.emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]})
 
 
-def _catalogued(effect: str | None, campaign: Path | None) -> tuple[DrivenPath, list[Entry], str]:
+def _catalogued(effect: str | None, campaign: Path | None) -> "tuple[DrivenPath, list[Entry], str]":
     from calib.campaign.read import read_campaign
     from calib.gap.effects.library import catalogue, every_effect
     from calib.gap.observations.from_campaign import observations_of

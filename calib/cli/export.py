@@ -1,7 +1,5 @@
 """`calib export`: coefficients for vehicle or controller; `calib report`: the calibration report as PDF and page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -162,7 +160,7 @@ def report(
     return 0 if report.passed else 1
 
 
-def _next_step(report: Report, given: Fit | Campaign) -> str:
+def _next_step(report: "Report", given: "Fit | Campaign") -> str:
     from calib.campaign.model import Campaign
 
     if report.diagnosis is not None:
@@ -178,7 +176,7 @@ def _next_step(report: Report, given: Fit | Campaign) -> str:
     return ("report" if "certificate" in stated else "report unstated") if report.passed else "report failed"
 
 
-def _tell(report: Report, target: Path, html: Path | None, drawn: str) -> None:
+def _tell(report: "Report", target: Path, html: Path | None, drawn: str) -> None:
     marked = ", simulated data" if report.simulated else ""
     terminal.wrote([], what=f"{target} (report {report.report_id}{marked})")
     terminal.wrote([] if html is None else [html])
@@ -203,7 +201,7 @@ def _refuse_targets(source: Path, into: Path | None, figures: Path | None) -> No
         terminal.refuse_outputs(*terminal.figure_files(figures, (*FIT_PICTURES, *GAP_PICTURES)))
 
 
-def _page(report: Report, given: Fit | Campaign, tick: Progress) -> str:
+def _page(report: "Report", given: "Fit | Campaign", tick: "Progress") -> str:
     from calib.campaign.model import Campaign
     from calib.reporting.pages import to_html
 

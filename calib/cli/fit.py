@@ -1,7 +1,5 @@
 """`calib fit`, `geometry`, `deviation`, `loads`: the radius law and what it rests on; radii, track and sensor."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -66,7 +64,7 @@ def fit(
     return 0 if fitted.passed else 1
 
 
-def _believed(model: Path | None, reference_load: float | None) -> tuple[Source | None, float | None]:
+def _believed(model: Path | None, reference_load: float | None) -> "tuple[Source | None, float | None]":
     if model is None:
         return None, reference_load
     from calib.coefficients.build import coefficients_of
@@ -79,7 +77,7 @@ def _believed(model: Path | None, reference_load: float | None) -> tuple[Source 
     return source, source.file.law.left.reference_load_N
 
 
-def _compared(fitted: Fit, believed: Source) -> tuple[dict[str, object], tuple[Block, ...]]:
+def _compared(fitted: "Fit", believed: "Source") -> "tuple[dict[str, object], tuple[Block, ...]]":
     from calib.coefficients.file import effects_left_out
     from calib.radius.result import compare_laws
     from calib.reporting.topics.fit import comparison_content

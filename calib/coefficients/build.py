@@ -1,7 +1,5 @@
 """The coefficient file of a fitted law, or of a geometry estimated with or without loads."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import math
@@ -198,7 +196,12 @@ def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
 
 
 def from_geometry(
-    geometry: Geometry, campaign: Campaign, *, outside: Outside = "refuse", created: str | None = None, accept: str = ""
+    geometry: "Geometry",
+    campaign: Campaign,
+    *,
+    outside: Outside = "refuse",
+    created: str | None = None,
+    accept: str = "",
 ) -> CoefficientFile:
     """Return the coefficient file of a geometry, estimated from a campaign; for `outside` and `created` see `Header`.
 
@@ -227,7 +230,7 @@ def from_geometry(
     return file if geometry.passed else file.accepted(accept, geometry.why)
 
 
-def geometry_document(geometry: Geometry, campaign: Campaign, accept: str = "") -> dict[str, object]:
+def geometry_document(geometry: "Geometry", campaign: Campaign, accept: str = "") -> dict[str, object]:
     """Return what ``calib geometry --json`` writes: `from_geometry` is its section, null where it is refused."""
     try:
         section = from_geometry(geometry, campaign, accept=accept).to_dict()
@@ -256,7 +259,7 @@ def joint_section(
     )
 
 
-def _law(geometry: Geometry, campaign: Campaign, side: str) -> WheelLaw:
+def _law(geometry: "Geometry", campaign: Campaign, side: str) -> WheelLaw:
     loads = campaign.included().runs.number(f"load_{side}_N")
     loads = loads[np.isfinite(loads)]
     radius_name, slope_name = WHEEL_RADIUS.get(geometry.source, f"radius_{side}_m"), f"slope_{side}_m_per_N"
@@ -282,7 +285,7 @@ def _law(geometry: Geometry, campaign: Campaign, side: str) -> WheelLaw:
     )
 
 
-def _track(geometry: Geometry, campaign: Campaign) -> tuple[float, float, Sequence[str]]:
+def _track(geometry: "Geometry", campaign: Campaign) -> tuple[float, float, Sequence[str]]:
     name, factor = ("half_length_plus_half_width_m", 2.0) if geometry.source == "wheels" else ("track_m", 1.0)
     track = factor * geometry.values.get(name, campaign.vehicle.track_m)
     if any(estimate.name == name for estimate in geometry.estimates):

@@ -1,7 +1,5 @@
 """The coefficient file: the master from which vehicle, controller and simulator get the radius law."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence
@@ -163,11 +161,11 @@ class CoefficientFile(Section):
         """Return the file's content: UTF-8 JSON; the same bytes for the same content."""
         return to_json(self.to_dict()).encode("utf-8")
 
-    def changed(self, **changes: Any) -> CoefficientFile:
+    def changed(self, **changes: Any) -> "CoefficientFile":
         """Return the file with `changes` (models or plain values) replaced and a new checksum."""
         return sealed(**{**self.to_dict(), **changes})
 
-    def calibrated(self, **lengths_m: float) -> CoefficientFile:
+    def calibrated(self, **lengths_m: float) -> "CoefficientFile":
         """Return the file with the odometry's `track` and `wheelbase`; the wheel loads keep to the vehicle's own."""
         vehicle = self.to_dict()["vehicle"]
         for name, length_m in lengths_m.items():
@@ -175,7 +173,7 @@ class CoefficientFile(Section):
                 vehicle |= {f"load_{name}": vehicle[name], name: {"value": length_m, "unit": "m"}}
         return self.changed(vehicle=vehicle)
 
-    def accepted(self, reason: str, findings: Sequence[str]) -> CoefficientFile:
+    def accepted(self, reason: str, findings: Sequence[str]) -> "CoefficientFile":
         """Return the file with the findings beyond the bounds that the user accepts; the file itself without any."""
         if not findings:
             return self
@@ -198,7 +196,7 @@ class CoefficientFile(Section):
         x, y, yaw = (self.together.get(name, getattr(stated, name)) for name in places)
         return replace(stated, sensor_x_m=x, sensor_y_m=y, sensor_yaw_rad=yaw)
 
-    def refuse_other_vehicle(self, campaign: Campaign) -> None:
+    def refuse_other_vehicle(self, campaign: "Campaign") -> None:
         """Raise RefusedError where the file was made for another vehicle than the campaign's.
 
         Drive and counts a revolution are stated; radii and track may differ as far as calibration moves them.

@@ -4,8 +4,6 @@ Intervals allow for autocorrelated runs as in `calib.radius.sessions`; the slope
 (1 - rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -30,14 +28,14 @@ class PartSums:
     key: str
     reference_load_N: float
     radius_m: float
-    sums: Sequence[WheelSums] = ()  #: of both wheels; `why` says why there are none
+    sums: "Sequence[WheelSums]" = ()  #: of both wheels; `why` says why there are none
     why: str = ""
     doubtful: Sequence[str] = ()  #: checks of the law that failed
     sources: Sequence[SystematicSource] = ()
-    lines: Sequence[WheelLine] = ()  #: of the fit of all runs of a vehicle
+    lines: "Sequence[WheelLine]" = ()  #: of the fit of all runs of a vehicle
 
     @staticmethod
-    def from_dict(value: Mapping[str, Any]) -> PartSums:
+    def from_dict(value: Mapping[str, Any]) -> "PartSums":
         """Return what was kept."""
         # JSON has no infinite number
         sources = [SystematicSource(**{**one, "dof": one["dof"] or np.inf}) for one in value["sources"]]
@@ -72,7 +70,7 @@ class WheelLine:
     drift: Drift | None
 
     @staticmethod
-    def of(estimate: LineEstimate, rho: float, runs: WheelSums) -> WheelLine:
+    def of(estimate: LineEstimate, rho: float, runs: "WheelSums") -> "WheelLine":
         """Return an estimate's figures, with the drift of its runs."""
         radius, slope = estimate.coefficients.tolist()
         std = np.sqrt(np.diag(estimate.covariance)).tolist()
@@ -136,7 +134,7 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     return VehicleRecord(vehicle, n_runs, reference, left, right, doubtful=doubtful)
 
 
-def _line(side: str, sums: WheelSums, part: PartSums) -> WheelLine | None:
+def _line(side: str, sums: "WheelSums", part: PartSums) -> WheelLine | None:
     loads = part.reference_load_N + sums.loads_N
     estimate = line_from_sums(sums)
     if estimate is None or np.ptp(loads) <= SAME_LOAD * np.abs(loads).max():
@@ -153,7 +151,7 @@ def _line(side: str, sums: WheelSums, part: PartSums) -> WheelLine | None:
     return WheelLine.of(estimate, rho, sums)
 
 
-def _drift(sums: WheelSums, slope: float) -> Drift | None:
+def _drift(sums: "WheelSums", slope: float) -> Drift | None:
     """Return the session means' drift beside the law; sessions scatter freely."""
     x, y, day = sums.means.T
     if len(day) < 4 or np.ptp(day) <= 0:
@@ -185,7 +183,7 @@ class WheelSums:
     @staticmethod
     def from_runs(
         session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray, reach: FloatArray
-    ) -> WheelSums:
+    ) -> "WheelSums":
         """Return the sums of runs in the order driven; `reach`: radius over distance; see `WheelSums`."""
         labels, index = np.unique(session, return_inverse=True)
         table = np.zeros((len(labels), 13))
@@ -200,12 +198,12 @@ class WheelSums:
         return WheelSums(labels, table, np.array(whole), ends)
 
     @staticmethod
-    def from_dict(value: Mapping[str, Any]) -> WheelSums:
+    def from_dict(value: Mapping[str, Any]) -> "WheelSums":
         """Return what was kept."""
         table, *others = (np.array(value[name], dtype=np.float64) for name in ("table", "whole", "loads_N"))
         return WheelSums(np.array(value["session"], dtype=np.str_), table.reshape(-1, 13), *others)
 
-    def added(self, other: WheelSums) -> WheelSums:
+    def added(self, other: "WheelSums") -> "WheelSums":
         """Return the sums of both, sessions of one label joined."""
         labels, index = np.unique(np.concatenate([self.session, other.session]), return_inverse=True)
         table, ends = np.zeros((len(labels), 13)), np.concatenate([self.loads_N, other.loads_N])

@@ -1,7 +1,5 @@
 """The pipeline of a diagnosis: from a campaign to the causes of its gap and what their correction is worth."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -65,7 +63,7 @@ def diagnose_in_full(
     seed: int = 0,
     exclude: tuple[str, ...] = (),
     model: OdometryModel | None = None,
-    applied: Sequence[EffectSection] = (),
+    applied: "Sequence[EffectSection]" = (),
     plan: bool = True,
     model_name: str = "",
     observations: Observations | None = None,
@@ -110,7 +108,7 @@ def _judged(
     given: Campaign,
     asked: tuple[int, str, Sequence[Effect] | None, Campaign | None],
     progress: Progress,
-    sought: _Sought,
+    sought: "_Sought",
     situation: Situation,
 ) -> Diagnosis:
     """Return the diagnosis of what was driven, without next runs; `given`: before corrections."""
@@ -168,7 +166,7 @@ def diagnosed(
     *,
     name: str = "",
     progress: Progress = silent,
-) -> tuple[Diagnosis, tuple[EffectSection, ...]]:
+) -> "tuple[Diagnosis, tuple[EffectSection, ...]]":
     """Return the diagnosis of calib's own model, and the effects that this model has already; see `diagnose_in_full`.
 
     `name`: the model's, for the words of the diagnosis.
@@ -199,7 +197,7 @@ class _Sought:
     """What the simulator believes, and which effects and blunders are not sought."""
 
     model: OdometryModel | None
-    applied: Sequence[EffectSection]
+    applied: "Sequence[EffectSection]"
     exclude: tuple[str, ...]
     into_windows: bool | None = None  #: see `observations_of`
 
@@ -237,7 +235,7 @@ class _Sought:
             as_counted = measured_gap(nominal, nominal)
         return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
 
-    def observed(self, campaign: Campaign, applied: Sequence[EffectSection]) -> tuple[Observations, tuple[str, ...]]:
+    def observed(self, campaign: Campaign, applied: "Sequence[EffectSection]") -> tuple[Observations, tuple[str, ...]]:
         """Return what was driven, and notes."""
         observations = observations_of(campaign, self.model, into_windows=self.into_windows)
         if np.isfinite(observations.simulated).any():

@@ -1,7 +1,5 @@
 """Motion step by step under a hypothesis, and what a perturbation changes at the end of each observation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -42,14 +40,14 @@ class Perturbation:
     law_slopes: FloatArray | None = None
 
     @classmethod
-    def on_readings(cls, observations: Observations, **by_channel: FloatArray | float) -> Perturbation:
+    def on_readings(cls, observations: Observations, **by_channel: FloatArray | float) -> "Perturbation":
         """Return a perturbation of the readings of named channels (``distance=``), each shape (n_obs,) or a number."""
         reading = np.zeros((len(observations), N_CHANNELS))
         for label, values in by_channel.items():
             reading[:, Channel[label.upper()]] = values
         return cls(reading=reading)
 
-    def scaled(self, factor: float) -> Perturbation:
+    def scaled(self, factor: float) -> "Perturbation":
         """Return the perturbation times `factor`."""
         return Perturbation(*(None if part is None else part * factor for part in self.parts()))
 
@@ -63,7 +61,7 @@ class Perturbation:
         wheels = (part for part in (self.left, self.right, self.track) if part is not None)
         return all(part is None for part in along) and all(len(part) == len(s) != len(s.unit) for part in wheels)
 
-    def part(self, units: slice, s: Observations) -> Perturbation:
+    def part(self, units: slice, s: Observations) -> "Perturbation":
         """Return the perturbation of some observations alone, from one of all observations of `s`."""
         n_steps = len(s.unit)
         steps = slice(int(s.starts[units.start]), int(s.starts[units.stop]))
@@ -138,7 +136,7 @@ class Lever:
     sums: tuple[int, ...]  #: which of X, Y, TURN, LINE and WAY change
     by_step: FloatArray  #: shape (n_sums, n_steps): by how much, for each of these
 
-    def __add__(self, other: Lever) -> Lever:
+    def __add__(self, other: "Lever") -> "Lever":
         """Return what both changes do together; the same sums change."""
         return Lever(self.sums, self.by_step + other.by_step)
 

@@ -1,7 +1,5 @@
 """Blunders of wheels and settings: swapped columns, signs, units, half a track, mirrors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -69,7 +67,7 @@ class Fault:
 Corrected = tuple["Recording", tuple[Fault, ...]]
 
 
-def rear_faults(recording: Recording, segments: Segments) -> Corrected:
+def rear_faults(recording: "Recording", segments: "Segments") -> Corrected:
     """Return the recording of two wheels with signs and sides corrected, and the fault.
 
     The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
@@ -95,7 +93,7 @@ def rear_faults(recording: Recording, segments: Segments) -> Corrected:
     return recording.with_turned(np.stack(corrected)), (Fault(code, text),)
 
 
-def sense(segments: Segments, turn_rad: FloatArray, rolled: FloatArray, far: float = 0.0) -> float:
+def sense(segments: "Segments", turn_rad: FloatArray, rolled: FloatArray, far: float = 0.0) -> float:
     """Return how far displacements point where the wheels rolled, from -1 (backwards) to 1.
 
     `segments`: whose displacement was measured; `turn_rad`, `rolled` (shape (n_steps,)): turn in each step by the
@@ -133,7 +131,7 @@ def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(Non
     return np.asarray(slope) if np.all(np.abs(slope[told]) > _clear(dof) * std[told]) else None
 
 
-def front_faults(recording: Recording, segments: Segments, radius_m: float, *, by_shaft: bool = False) -> Corrected:
+def front_faults(recording: "Recording", segments: "Segments", radius_m: float, *, by_shaft: bool = False) -> Corrected:
     """Return the recording with steering zero and signs corrected, and what was wrong.
 
     A wheel that counts backwards and a steering sensor of the other sign give mirrored solutions of the same residual:
@@ -269,7 +267,7 @@ ALIKE: Final = 1.1
 LEAST_TURN_RAD: Final = 0.05
 
 
-def corrected(recording: Recording, segments: Segments, source: str, drive: Drive) -> Corrected:
+def corrected(recording: "Recording", segments: "Segments", source: str, drive: "Drive") -> Corrected:
     """Return the recording with blunders of the wheels corrected, and these faults.
 
     `source` (one of `WHEEL_COLUMNS`); `drive`: with its nominal values. Raises RefusedError where the reference's
@@ -289,7 +287,7 @@ def corrected(recording: Recording, segments: Segments, source: str, drive: Driv
     return wheels_faults(recording, segments, drive) if source == "wheels" else rear_faults(recording, segments)
 
 
-def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault]:
+def still_counters(recording: "Recording", told_rad: FloatArray) -> Iterator[Fault]:
     """Yield the counters that stand still in a run that does not turn about that wheel.
 
     `told_rad` (shape (n_samples,)): turn in each step by wheels of fitted lengths: other units are no still wheel.
@@ -322,7 +320,7 @@ def still_counters(recording: Recording, told_rad: FloatArray) -> Iterator[Fault
                 yield Fault("counter_still", text, seen=True)
 
 
-def times_fault(recording: Recording) -> Fault | None:
+def times_fault(recording: "Recording") -> Fault | None:
     """Return what is wrong with times in another unit, whose delay of the reference no fit can find."""
     step_s, rolled_rad = np.diff(recording.t_s), float(np.abs(recording.steps.turned_rad).mean(axis=0).sum())
     step_s = step_s[np.diff(recording.run) == 0]
@@ -335,20 +333,20 @@ def times_fault(recording: Recording) -> Fault | None:
     return Fault("time_unit", f"{text}; convert, or state the unit in the mapping", seen=True)
 
 
-def _spiked(recording: Recording, side: int) -> list[int]:
+def _spiked(recording: "Recording", side: int) -> list[int]:
     """Return the samples in which a counter is more than a revolution off, and back in the next."""
     step = recording.steps.turned_rad[side]
     back = np.abs(step[:-1] + step[1:]) < SPIKE_LEFT * np.abs(step[:-1])
     return [int(at) for at in np.flatnonzero(back & (np.abs(step[:-1]) > 2.0 * np.pi))]
 
 
-def wheels_faults(recording: Recording, segments: Segments, drive: Drive) -> Corrected:
+def wheels_faults(recording: "Recording", segments: "Segments", drive: "Drive") -> Corrected:
     """Return the recording with the wheels' signs and sides corrected, and what was wrong.
 
     `drive`: its nominal values tell which reading of the four columns fits the reference.
     """
 
-    def left_by(recording: Recording) -> tuple[float, float]:
+    def left_by(recording: "Recording") -> tuple[float, float]:
         return _left(*_nominal(recording, segments, drive))
 
     turned, as_it_stands = recording.steps.turned_rad, left_by(recording)[0]
@@ -380,7 +378,7 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
         yield Fault("swapped_wheels", f"wheels are exchanged; exchange {names}"), order, plain
 
 
-def _nominal(recording: Recording, segments: Segments, drive: Drive) -> tuple[Model, FloatArray]:
+def _nominal(recording: "Recording", segments: "Segments", drive: "Drive") -> "tuple[Model, FloatArray]":
     # what only reads a steering angle needs no model
     from calib.kinematics.drives import nominal_values
     from calib.kinematics.model import Model
@@ -388,7 +386,7 @@ def _nominal(recording: Recording, segments: Segments, drive: Drive) -> tuple[Mo
     return Model(drive, recording, segments), nominal_values(drive)
 
 
-def _left(model: Model, values: FloatArray) -> tuple[float, float]:
+def _left(model: "Model", values: FloatArray) -> tuple[float, float]:
     seen = model.segments.seen.all(axis=1)
     measured, rest = model.segments.measured[seen], model.predict(values).residuals[seen]
     if not len(measured):

@@ -1,7 +1,5 @@
 """Drives: how wheels move the body, derivatives by each parameter, the integrated path."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from itertools import compress
@@ -69,7 +67,7 @@ class Parameters:
     pulled: bool = False
 
     @staticmethod
-    def of(items: Sequence[Parameter], free: Iterable[str]) -> Parameters:
+    def of(items: Sequence[Parameter], free: Iterable[str]) -> "Parameters":
         """Return parameters of which those named in `free` are estimated."""
         return Parameters(tuple(items), np.isin([item.name for item in items], list(free)))
 
@@ -105,7 +103,7 @@ class Parameters:
         return np.vstack([np.eye(len(spread)), mean])[: None if self.pulled else 0]
 
 
-def parameters_of(drive: Drive, reference: Reference) -> tuple[Parameter, ...]:
+def parameters_of(drive: "Drive", reference: Reference) -> tuple[Parameter, ...]:
     """Return the parameters of a drive, then those of the reference's sensor at its stated place."""
     place = (1.0, reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad, 0.0)
     return (*drive.parameters, *map(Parameter, SENSOR, place, SENSOR_STD.values()))
@@ -116,12 +114,12 @@ def first_scales(reference: Reference) -> FloatArray:
     return np.array([reference.sigma_xy_m**2, reference.sigma_theta_rad**2, *WALKS])
 
 
-def nominal_values(drive: Drive) -> FloatArray:
+def nominal_values(drive: "Drive") -> FloatArray:
     """Return a drive's nominal values, then `UNMOVED_SENSOR`."""
     return np.array([*(item.nominal for item in drive.parameters), *UNMOVED_SENSOR])
 
 
-def nominal_turn(drive: Drive, steps: Steps) -> FloatArray:
+def nominal_turn(drive: "Drive", steps: "Steps") -> FloatArray:
     """Return the turn in each step by the nominal values of a drive, shape (n_samples,)."""
     return np.asarray(drive.motion(np.array([item.nominal for item in drive.parameters]), steps).body[2])
 
@@ -167,7 +165,7 @@ class Drive(Protocol):
         """Return the motion of the body at parameter `values`, shape (n_parameters,)."""
 
 
-def lengths_of(drive: Differential | FrontWheel | Mecanum | RearShaft) -> tuple[Parameter, ...]:
+def lengths_of(drive: "Differential | FrontWheel | Mecanum | RearShaft") -> tuple[Parameter, ...]:
     """Return a parameter for each length of a drive, a field in ``_m``, within `LENGTH_STD`."""
     lengths = {part.name: getattr(drive, part.name) for part in fields(drive) if part.name.endswith("_m")}
     return tuple(Parameter(name, nominal, LENGTH_STD * nominal) for name, nominal in lengths.items())

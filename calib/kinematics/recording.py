@@ -1,7 +1,5 @@
 """From a campaign to arrays: wheel travel and reference poses."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final, NamedTuple
@@ -102,7 +100,7 @@ class Recording:
         """Whether nothing but the lengths of straight runs was measured."""
         return not (np.isfinite(self.end_pose[:, 1:]).any() or np.isfinite(self.reference).any())
 
-    def with_whole_turns(self, turn_rad: FloatArray) -> tuple[Recording, list[str]]:
+    def with_whole_turns(self, turn_rad: FloatArray) -> "tuple[Recording, list[str]]":
         """Return the recording with whole turns added to end headings, and the few runs that were off.
 
         Headings all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_samples,)), or of a
@@ -151,7 +149,7 @@ class Recording:
                 f"{turned:.3g} rad; expected the measured heading; leave the column empty where it was not measured"
             )
 
-    def with_reference(self, reference: FloatArray) -> Recording:
+    def with_reference(self, reference: FloatArray) -> "Recording":
         """Return the recording with another reference, shape (3, n_samples), and its ends."""
         ends, references = self.end_pose.copy(), np.stack([reference, self.reference])
         for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
@@ -162,11 +160,11 @@ class Recording:
                 ends[run] += after - before
         return replace(self, reference=reference, end_pose=ends)
 
-    def with_turned(self, turned_rad: FloatArray) -> Recording:
+    def with_turned(self, turned_rad: FloatArray) -> "Recording":
         """Return the recording with other wheel turns (sides swapped, say)."""
         return replace(self, steps=replace(self.steps, turned_rad=turned_rad))
 
-    def with_steering(self, steer_rad: FloatArray) -> Recording:
+    def with_steering(self, steer_rad: FloatArray) -> "Recording":
         """Return the recording with other steering angles."""
         return replace(self, steps=replace(self.steps, steer_rad=steer_rad))
 

@@ -1,7 +1,5 @@
 """The result of `calib geometry`: values with intervals, residuals of each route."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,7 +26,7 @@ class Channels(NamedTuple):
     theta_rad: float
 
     @staticmethod
-    def rms(residuals: FloatArray) -> Channels:
+    def rms(residuals: FloatArray) -> "Channels":
         """Return the root mean square of each column of residuals, shape (n, 3)."""
         return Channels(*np.sqrt(np.square(residuals).sum(axis=0) / max(len(residuals), 1)).tolist())
 
@@ -45,7 +43,7 @@ class Estimate:
     dof: float
 
     @staticmethod
-    def of(name: str, nominal: float, value: float, std: float, dof: float, free: float) -> Estimate:
+    def of(name: str, nominal: float, value: float, std: float, dof: float, free: float) -> "Estimate":
         """Return an estimate with its interval.
 
         Parameters
@@ -222,20 +220,20 @@ class Geometry(Result):
         """Whether the estimates are to be used."""
         return self.verdict is GeometryVerdict.CALIBRATED
 
-    def doubted(self, fault: Fault) -> Geometry:
+    def doubted(self, fault: Fault) -> "Geometry":
         """Return the result with a fault."""
         verdict = GeometryVerdict.DOUBTFUL if self.passed else self.verdict
         judgement = replace(self.judgement, verdict=verdict, why=(fault.text, *self.why))
         return replace(self, judgement=judgement, faults=(fault,))
 
-    def with_wide_track(self, stated_m: float, fault: Fault) -> Geometry:
+    def with_wide_track(self, stated_m: float, fault: Fault) -> "Geometry":
         """Return the result beside the stated track, with the fault where no skid steering makes it so wide."""
         rows = (replace(row, nominal=stated_m) if row.name == "track_m" else row for row in self.estimates)
         found = replace(self, estimates=tuple(rows))
         return self.doubted(fault) if implausible("track_m", found.values["track_m"] / stated_m, 1.0, "skid") else found
 
     @property
-    def table(self) -> DataFrame:
+    def table(self) -> "DataFrame":
         """Estimates as a pandas table, a row a parameter."""
         from pandas import DataFrame
 

@@ -1,7 +1,5 @@
 """Routes of straights and arcs, what wheels carry on them, and what they travel, by counts and under loads."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -53,7 +51,7 @@ class Route:
     turn_rad: FloatArray  #: shape (n_segments,): turn of each segment, left positive; 0 in a straight
 
     @staticmethod
-    def from_segments(name: str, *segments: Segment) -> Route:
+    def from_segments(name: str, *segments: Segment) -> "Route":
         """Return the route of `straight` and `arc` segments."""
         rows = np.array(segments, dtype=np.float64).reshape(-1, 2)
         return Route(name, rows[:, 0].copy(), rows[:, 1].copy())
@@ -66,7 +64,7 @@ class Route:
         """Length of the whole route."""
         return float(np.abs(self.length_m).sum())
 
-    def divided(self, spacing_m: float) -> Route:
+    def divided(self, spacing_m: float) -> "Route":
         """Return the route in pieces of at most `spacing_m` (or 3 degrees)."""
         if not spacing_m > 0.0:
             raise BadInputError(f"spacing: found {spacing_m!r} m; expected a length above 0")
@@ -77,7 +75,7 @@ class Route:
         count = pieces.astype(np.int64)
         return Route(self.name, np.repeat(self.length_m / count, count), np.repeat(self.turn_rad / count, count))
 
-    def cut(self, at_m: ArrayLike) -> Route:
+    def cut(self, at_m: ArrayLike) -> "Route":
         """Return the route with a border between segments at each of these distances."""
         wanted, edges, pieces = np.unique(floats(at_m)), self.distance_m(), []
         for length, turn, first, last in zip(self.length_m, self.turn_rad, edges, edges[1:], strict=False):
@@ -86,7 +84,7 @@ class Route:
             pieces.append(np.outer([length, turn], shares))
         return Route(self.name, *np.concatenate(pieces, axis=1))
 
-    def mirrored(self) -> Route:
+    def mirrored(self) -> "Route":
         """Return the route with left and right swapped."""
         return Route(self.name, self.length_m, -self.turn_rad)
 
@@ -320,7 +318,7 @@ class Loading:
     right_N: FloatArray
 
     @staticmethod
-    def from_rows(rows: Sequence[tuple[float, float, float]]) -> Loading:
+    def from_rows(rows: Sequence[tuple[float, float, float]]) -> "Loading":
         """Return a loading of rows (distance in m, left load in N, right load in N) in any order, one at 0 m."""
         ordered = np.array(sorted(rows), dtype=np.float64).reshape(-1, 3)
         if not len(ordered) or ordered[0, 0] != 0.0 or (np.diff(ordered[:, 0]) <= 0.0).any():

@@ -1,7 +1,5 @@
 """Regression of one wheel's radius on its load: coefficients, intervals, bands (Figs 10 and 11)."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -202,7 +200,7 @@ class WheelFit:
         return {key: plain(value) for key, value in document.items()}
 
     @staticmethod
-    def from_dict(wheel: str, value: Mapping[str, Any]) -> WheelFit:
+    def from_dict(wheel: str, value: Mapping[str, Any]) -> "WheelFit":
         """Return the fit that `to_dict` wrote; the rest is computed."""
         strata, naive, line = value["strata"], value["naive"], value["model"] == "line"
         scalars = ("reference_load_N", "r_squared", "residual_std_m")
@@ -311,14 +309,14 @@ def fit_wheel(
     )
 
 
-def least_squares(x: FloatArray | None, y: FloatArray) -> RegressionResults:
+def least_squares(x: FloatArray | None, y: FloatArray) -> "RegressionResults":
     """Return the ordinary least-squares fit of ``y = a + b x``, shape (n_runs,) both; None for x: of a constant."""
     from statsmodels.regression.linear_model import OLS
 
     return OLS(y, np.column_stack([np.ones_like(y)] if x is None else [np.ones_like(y), x])).fit(method="qr")
 
 
-def independent_line(ols: RegressionResults, x: FloatArray | None = None) -> LineEstimate:
+def independent_line(ols: "RegressionResults", x: FloatArray | None = None) -> LineEstimate:
     """Return a least-squares line of independent runs.
 
     `x` (shape (n_runs,)): load minus reference load, for HC3 where the scatter clearly depends on it; None: never HC3.
@@ -330,7 +328,7 @@ def independent_line(ols: RegressionResults, x: FloatArray | None = None) -> Lin
     )
 
 
-def _influence(ols: RegressionResults) -> tuple[FloatArray, FloatArray]:
+def _influence(ols: "RegressionResults") -> tuple[FloatArray, FloatArray]:
     influence = ols.get_influence()
     with np.errstate(divide="ignore", invalid="ignore"):
         cook = np.nan_to_num(influence.cooks_distance[0], nan=0.0, posinf=0.0)

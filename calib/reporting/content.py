@@ -1,7 +1,5 @@
 """A report as plain sections, and the file that it is written to."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -67,8 +65,8 @@ class Report:
     #: under the title
     facts: tuple[tuple[str, str], ...] = field(default=(), metadata={"json": False})
     #: made from, as far as estimated for it
-    diagnosis: Diagnosis | None = field(default=None, metadata={"json": False})
-    geometry: Geometry | None = field(default=None, metadata={"json": False})
+    diagnosis: "Diagnosis | None" = field(default=None, metadata={"json": False})
+    geometry: "Geometry | None" = field(default=None, metadata={"json": False})
 
     @property
     def head(self) -> tuple[tuple[str, str], ...]:
@@ -87,7 +85,7 @@ class Report:
         """The figures, in the order of the pages."""
         return tuple(block for section in self.sections for block in section.blocks if isinstance(block, Picture))
 
-    def figures(self) -> dict[str, Figure]:
+    def figures(self) -> "dict[str, Figure]":
         """Return its figures, drawn, by name."""
         return {picture.name: picture.draw() for picture in self.pictures}
 
@@ -196,9 +194,9 @@ def report_without_law(
     *,
     issued: str,
     why: str,
-    geometry: Geometry | None = None,
+    geometry: "Geometry | None" = None,
     coefficients: bytes | None = None,
-    diagnosis: Diagnosis | None = None,
+    diagnosis: "Diagnosis | None" = None,
 ) -> Report:
     """Return the report on runs without a radius law: geometry, diagnosis, or both.
 
@@ -251,7 +249,7 @@ def report_without_law(
     )
 
 
-def _limits(campaign: Campaign, geometry: Geometry | None, coefficients: bytes | None) -> Section:
+def _limits(campaign: Campaign, geometry: "Geometry | None", coefficients: bytes | None) -> Section:
     limits = ["no_law", "no_law_holds"]
     if geometry is not None:
         limits = ["geometry_law", "geometry_holds", *(["geometry_kept"] if coefficients is None else [])]

@@ -1,7 +1,5 @@
 """Input of a report: a fit, its coefficient file, and the ``[report]`` section of campaign.toml."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
@@ -34,23 +32,23 @@ SURE_FROM: Final = 0.9
 class Source:
     """Input of all pages."""
 
-    fit: Fit
+    fit: "Fit"
     #: the law as the vehicle gets it; attached to the PDF
-    coefficients: CoefficientFile
+    coefficients: "CoefficientFile"
     #: YYYY-MM-DD
     issued: str
     #: what the campaign's ``[report]`` section states, by the keys of `STATED`
     stated: Mapping[str, str] = field(default_factory=dict)
     #: of the diagnosis, if asked for
-    verdict: Diagnosis | None = None
+    verdict: "Diagnosis | None" = None
     #: of its figures, if not its own
-    gap: GapArrays | None = None
+    gap: "GapArrays | None" = None
     logo: tuple[str, bytes] | None = None
     #: verdict and sentence of a diagnosis.json that lies beside the fit
-    known_verdict: tuple[VerdictKind, str] | None = None
+    known_verdict: "tuple[VerdictKind, str] | None" = None
 
     @property
-    def setup(self) -> Setup:
+    def setup(self) -> "Setup":
         """Vehicle, instruments and conditions; a fit without them is refused."""
         assert self.fit.setup is not None
         return self.fit.setup
@@ -95,7 +93,7 @@ def issue_date(text: str | None) -> str:
     return text
 
 
-def opened(path: Path, *, progress: Progress = silent) -> Fit | Campaign:
+def opened(path: Path, *, progress: Progress = silent) -> "Fit | Campaign":
     """Return the fit of a result folder or its ``fit.json``, or else the campaign of a folder."""
     from calib.campaign.read import read_campaign
     from calib.radius.result import is_result, read_result
@@ -105,7 +103,7 @@ def opened(path: Path, *, progress: Progress = silent) -> Fit | Campaign:
     return read_result(path) if is_result(path) else read_campaign(path, progress=progress)
 
 
-def source_of(given: Fit | Campaign, *, issued: str, accept: str = "", where: Path | None = None) -> Source:
+def source_of(given: "Fit | Campaign", *, issued: str, accept: str = "", where: Path | None = None) -> Source:
     """Return what a report on a fit is made from, or on a campaign, which is fitted now; it has no diagnosis.
 
     `issued`: date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same;
@@ -133,7 +131,7 @@ def source_of(given: Fit | Campaign, *, issued: str, accept: str = "", where: Pa
     return Source(fit, file, issued, stated, logo=logo, known_verdict=known)
 
 
-def _verdict_beside(path: Path, name: str) -> tuple[VerdictKind, str] | None:
+def _verdict_beside(path: Path, name: str) -> "tuple[VerdictKind, str] | None":
     file = (path if path.is_dir() else path.parent) / "diagnosis.json"
     if not file.is_file():
         return None
@@ -205,7 +203,7 @@ def logo_of(campaign: Campaign) -> tuple[str, bytes] | None:
     return f"logo{path.suffix.lower()}", path.read_bytes()
 
 
-def verdict_document(verdict: Diagnosis) -> dict[str, object]:
+def verdict_document(verdict: "Diagnosis") -> dict[str, object]:
     """Return a verdict as ``calib diagnose --json`` writes it: with the paper's headline where load is the cause."""
     from calib.gap.decision.sentences import headline
 

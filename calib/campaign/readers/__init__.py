@@ -1,7 +1,5 @@
 """Readers of tables and recordings; a new format is one function and one line here."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -56,7 +54,7 @@ def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Lay
     return table
 
 
-def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None = None) -> Recording:
+def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None = None) -> "Recording":
     """Read a recording: a ROS bag, TDMS, ``.mat`` or trajectory file.
 
     See `read_table`; a `WantedColumns` lets whole topics be passed over. Raises BadFileError also of a table.
@@ -71,7 +69,7 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
     return recording
 
 
-def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
+def interpolated(stream: "Stream", column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
     """Return a column at other times, (n_times,), NaN outside the span and in gaps.
 
     `shift_ns`: the stream's lag, taken off first.
@@ -91,7 +89,10 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
 
 
 def joined_table(
-    recording: Recording, base: Stream | None = None, shifts_s: Mapping[str, float] | None = None, clock: bool = True
+    recording: "Recording",
+    base: "Stream | None" = None,
+    shifts_s: Mapping[str, float] | None = None,
+    clock: bool = True,
 ) -> RawTable:
     """Return the recording as one table on the times of `base` (by default the longest), the others interpolated.
 

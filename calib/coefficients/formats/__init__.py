@@ -1,7 +1,5 @@
 """Export formats and what they share; a new format is one function in a file of this folder, and one line here."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -124,7 +122,7 @@ def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[d
     ]
 
 
-def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:
+def default_loads(file: "CoefficientFile") -> tuple[LoadPair, ...]:
     """Return the load points of the load table, else ends and reference of the common valid range, or any load."""
     if file.load_table:
         return tuple(LoadPair(p.load_left.value, p.load_right.value, p.name) for p in file.load_table)
@@ -136,13 +134,13 @@ def default_loads(file: CoefficientFile) -> tuple[LoadPair, ...]:
     return tuple(LoadPair(load, load) for load in sorted({low, high, left.reference_load_N}) if low <= load <= high)
 
 
-def radii_m(file: CoefficientFile, pair: LoadPair) -> tuple[float, float]:
+def radii_m(file: "CoefficientFile", pair: LoadPair) -> tuple[float, float]:
     """Return the radii of the left and the right wheel at a load point; see `CoefficientFile.radius_m`."""
     left, right = file.radius_m(pair.left_N, pair.right_N)
     return float(left), float(right)
 
 
-def within_N(file: CoefficientFile, pair: LoadPair) -> tuple[float, float]:
+def within_N(file: "CoefficientFile", pair: LoadPair) -> tuple[float, float]:
     """Return the wheel loads of a load point, or the nearest ones that were measured."""
     laws = ((file.law.left, pair.left_N), (file.law.right, pair.right_N))
     left, right = (min(max(load, law.load_min_N), law.load_max_N) for law, load in laws)
@@ -155,7 +153,7 @@ def ascii_line(text: str) -> str:
     return line.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").rstrip("\\")[:COMMENT_LENGTH]
 
 
-def left_out_lines(file: CoefficientFile, what: str) -> list[str]:
+def left_out_lines(file: "CoefficientFile", what: str) -> list[str]:
     """Return what `what`, the file or header that is written, leaves out, and the findings that the user accepted."""
     from calib.coefficients.file import fitted_beside
 
@@ -163,7 +161,7 @@ def left_out_lines(file: CoefficientFile, what: str) -> list[str]:
     return [*lines, *fitted_beside(file), *assumed_note(file), *accepted_lines(file)]
 
 
-def assumed_note(file: CoefficientFile) -> tuple[str, ...]:
+def assumed_note(file: "CoefficientFile") -> tuple[str, ...]:
     """Return which numbers of the file were neither measured nor stated, as one sentence; nothing without any."""
     values = []
     for place in file.assumed:
@@ -174,7 +172,7 @@ def assumed_note(file: CoefficientFile) -> tuple[str, ...]:
     return (f"assumed, not measured: {', '.join(values)}; 'calib geometry' and 'calib export --to nav2' measure them",)
 
 
-def accepted_lines(file: CoefficientFile) -> list[str]:
+def accepted_lines(file: "CoefficientFile") -> list[str]:
     """Return why a law beyond the bounds of its vehicle was passed on, and what is beyond them; else nothing."""
     accepted = file.accepted_implausible
     if accepted is None:
@@ -204,7 +202,7 @@ def c_literal(value: float) -> str:
 
 
 @cache
-def templates() -> Environment:
+def templates() -> "Environment":
     """Return the templates of this folder."""
     environment = templates_of(__name__)
     environment.filters |= {"ascii_line": ascii_line, "c_number": c_number, "literal": c_literal, "number": number}

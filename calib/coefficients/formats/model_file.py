@@ -3,8 +3,6 @@
 Documents with a DOCTYPE are refused: entities could grow without end or name other files.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable, Iterator
@@ -35,26 +33,26 @@ class Node:
 
     tag: str
     attributes: dict[str, str]
-    parent: Node | None
+    parent: "Node | None"
     #: offsets of its start tag, of the end of that tag, and of its end tag
     start: int
     tag_end: int = 0
     close: int = 0
-    children: list[Node] = field(default_factory=list)
+    children: "list[Node]" = field(default_factory=list)
     text: str = ""
 
-    def walk(self) -> Iterator[Node]:
+    def walk(self) -> "Iterator[Node]":
         """Yield the element and all below it, in the order of the file."""
         yield self
         for child in self.children:
             yield from child.walk()
 
-    def child(self, tag: str, name: str | None = None) -> Node | None:
+    def child(self, tag: str, name: str | None = None) -> "Node | None":
         """Return the first child of that tag, and name where one is given; None where there is none."""
         alike = (child for child in self.children if child.tag == tag)
         return next((child for child in alike if name is None or child.attributes.get("name") == name), None)
 
-    def ancestors(self) -> Iterator[Node]:
+    def ancestors(self) -> "Iterator[Node]":
         """Yield the parents, the nearest first."""
         if self.parent is not None:
             yield self.parent

@@ -1,7 +1,5 @@
 """The results: diagnosis, causes, confounded effects, fix, what was weighed, and runs to drive."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -248,7 +246,7 @@ class NoiseSummary:
     finding: str = field(default="", metadata={"json": False})
 
     @classmethod
-    def about(cls, noise: Noise) -> NoiseSummary:
+    def about(cls, noise: Noise) -> "NoiseSummary":
         """Return the summary of a noise model."""
         excess = {channel.label: float(x) for channel in Channel if np.isfinite(x := noise.excess[channel])}
         return cls(noise.dof, noise.scales, noise.supported, noise.support, excess, noise.finding)
@@ -344,7 +342,7 @@ class Diagnosis(Result):
         return tuple(self.arrays.effects.values())
 
     @property
-    def table(self) -> DataFrame:
+    def table(self) -> "DataFrame":
         """The causes as a table, a row per parameter; SI units, 95 % intervals."""
         from pandas import DataFrame
 
@@ -381,11 +379,11 @@ class Plan(Result):
     campaign: Campaign
     diagnosis: Diagnosis  #: so far
     runs: tuple[PlannedRun, ...]  #: best first
-    now: Promise | None = None  #: intervals of radii, track and the like by the runs driven; None: they tell nothing
-    then: Promise | None = None  #: with those to drive next
+    now: "Promise | None" = None  #: intervals of radii, track and the like by the runs driven; None: they tell nothing
+    then: "Promise | None" = None  #: with those to drive next
 
     @property
-    def table(self) -> DataFrame:
+    def table(self) -> "DataFrame":
         """The runs as a table."""
         from pandas import DataFrame
 

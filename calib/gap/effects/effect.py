@@ -1,7 +1,5 @@
 """What an effect is: a named cause, its parameters, and what it does to wheels, track, path or readings."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,7 +24,7 @@ class Family(StrEnum):
 
     words: str  #: what is sure where only the family is, as a clause
 
-    def __new__(cls, value: str, words: str) -> Family:
+    def __new__(cls, value: str, words: str) -> "Family":
         """Make a member of its name in files and its clause."""
         member = str.__new__(cls, value)
         member._value_, member.words = value, words
@@ -72,7 +70,7 @@ class Centre:
     spread: float = 1.0  #: what counts as one unit of the deviation: 1, or a standard deviation
 
     @classmethod
-    def of(cls, values: FloatArray) -> Centre:
+    def of(cls, values: FloatArray) -> "Centre":
         """Return the centre at the mean of the known values (n_obs,), 0 where none is known."""
         return cls(float(np.nanmean(values)) if np.isfinite(values).any() else 0.0)
 
@@ -121,13 +119,13 @@ class Form:
     acts_through: tuple[str, ...] = ()
     end: Centre | None = None  #: where a file writes it zero, for what counts on through the campaign
 
-    def centred_at(self, centre: Centre | None) -> Form:
+    def centred_at(self, centre: Centre | None) -> "Form":
         """Return the form with the effect zero at a centre, itself where it has none or none is given."""
         if self.about is None or centre is None or centre == self.centre:
             return self
         return replace(self, perturbations=self.about(centre), centre=centre)
 
-    def with_settings(self, settings: Mapping[str, float]) -> Form:
+    def with_settings(self, settings: Mapping[str, float]) -> "Form":
         """Return the form with settings of other runs, itself where they are no matter of the runs."""
         return self if self.at is None else replace(self, perturbations=self.at(settings), settings=dict(settings))
 

@@ -1,7 +1,5 @@
 """The library of effects: all classes, the effects of a campaign with their signatures, and those of a file."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path as FilePath
@@ -251,7 +249,7 @@ ELSEWHERE: Final = " of other runs"
 DELAY: Final = "delay_s"
 
 
-def model_of(path: FilePath | str, campaign: Campaign) -> tuple[OdometryModel, tuple[EffectSection, ...]]:
+def model_of(path: FilePath | str, campaign: Campaign) -> "tuple[OdometryModel, tuple[EffectSection, ...]]":
     """Return what a coefficient file believes: the odometry's model, and the effects to add to it.
 
     The law is centred on the reference load of the campaign's model. Wear counts in the campaign that was diagnosed.
@@ -290,7 +288,7 @@ def beyond_law(path: FilePath | str, observations: Observations) -> tuple[str, .
     return (f"{said} (on a vehicle: {file.outside})",)
 
 
-def _delay_of(file: CoefficientFile) -> tuple[EffectSection, ...]:
+def _delay_of(file: "CoefficientFile") -> "tuple[EffectSection, ...]":
     """Return a delay of the reference that a geometry determined, else nothing."""
     from calib.coefficients.sections import EffectSection, Quantity
 
@@ -302,7 +300,7 @@ def _delay_of(file: CoefficientFile) -> tuple[EffectSection, ...]:
 
 
 def with_effects(
-    observations: Observations, sections: Sequence[EffectSection], declared: object = ()
+    observations: Observations, sections: "Sequence[EffectSection]", declared: object = ()
 ) -> tuple[Observations, tuple[str, ...]]:
     """Return the campaign as a simulator with the effects would predict it, and notes on what could not be applied.
 
@@ -329,7 +327,7 @@ def with_effects(
 
 
 def applied_perturbations(
-    observations: Observations, sections: Sequence[EffectSection], path: Path | None = None, declared: object = ()
+    observations: Observations, sections: "Sequence[EffectSection]", path: Path | None = None, declared: object = ()
 ) -> tuple[list[Perturbation], list[str]]:
     """Return what written-down effects do, times their sizes, and notes on what could not be applied.
 
@@ -359,7 +357,7 @@ def applied_perturbations(
     return _perturbations(chosen, about), notes
 
 
-def _perturbations(chosen: Sequence[tuple[EffectSection, Form]], path: Path) -> list[Perturbation]:
+def _perturbations(chosen: "Sequence[tuple[EffectSection, Form]]", path: Path) -> list[Perturbation]:
     scaled = []
     for section, form in chosen:
         for parameter, perturbation in zip(form.parameters, form.perturbations(path), strict=True):
@@ -369,7 +367,7 @@ def _perturbations(chosen: Sequence[tuple[EffectSection, Form]], path: Path) -> 
     return scaled
 
 
-def section_of(form: Form, theta: FloatArray) -> EffectSection:
+def section_of(form: Form, theta: FloatArray) -> "EffectSection":
     """Return a fitted form as a coefficient file holds it: id, label, settings, where it is zero, and its sizes."""
     from calib.coefficients.sections import EffectSection, Quantity
 

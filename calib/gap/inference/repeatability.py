@@ -1,7 +1,5 @@
 """Repeatability: replicate groups, and the noise scales by restricted maximum likelihood (REML) within them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -60,7 +58,7 @@ class Replicates:
     first: IntArray  #: shape (n_groups,): start of each group
 
     @staticmethod
-    def by(labels: IntArray) -> Replicates:
+    def by(labels: IntArray) -> "Replicates":
         """Group units by a label, (n_units,)."""
         _, code = np.unique(labels, return_inverse=True)
         units = np.argsort(code, kind="stable")
@@ -68,11 +66,11 @@ class Replicates:
         return Replicates._numbered(units, code[units])
 
     @staticmethod
-    def _numbered(units: IntArray, label: IntArray) -> Replicates:
+    def _numbered(units: IntArray, label: IntArray) -> "Replicates":
         _, first, group = np.unique(label, return_index=True, return_inverse=True)
         return Replicates(units, group, first)
 
-    def select(self, keep: BoolArray) -> Replicates:
+    def select(self, keep: BoolArray) -> "Replicates":
         """Return the groups of the units (n,) to keep."""
         return Replicates._numbered(self.units[keep], self.group[keep])
 
@@ -81,7 +79,7 @@ class Replicates:
         total: FloatArray = np.add.reduceat(values, self.first, axis=0)
         return total
 
-    def by_size(self) -> Replicates:
+    def by_size(self) -> "Replicates":
         """Return the groups ordered by size."""
         sizes = np.diff(self.first, append=len(self.units))
         group = np.argsort(np.argsort(sizes, kind="stable"))[self.group]
@@ -117,7 +115,7 @@ class _Alike:
     place: IntArray
 
     @staticmethod
-    def of(units: slice, columns: FloatArray, index: IntArray, n_basis: int) -> _Alike:
+    def of(units: slice, columns: FloatArray, index: IntArray, n_basis: int) -> "_Alike":
         known = index != n_basis - 1
         there = np.flatnonzero(known[:, :, None] & known[:, None, :] & np.tri(index.shape[1], dtype=bool))
         place = index[:, :, None] * n_basis + index[:, None, :]
@@ -133,7 +131,9 @@ class GroupTrends:
     mix: FloatArray  #: shape (n_basis, 1 + k): gap and trends over the basis
 
     @staticmethod
-    def of(trends: Trends, units: IntArray, group: IntArray, design: FloatArray, gap: FloatArray) -> GroupTrends | None:
+    def of(
+        trends: Trends, units: IntArray, group: IntArray, design: FloatArray, gap: FloatArray
+    ) -> "GroupTrends | None":
         """Return those of units (n,) in groups (n,), see `Trends`; None where these know about half of the steps.
 
         `design` (n_units, 6, 9): what each group may have of its own; `gap` (n_units, 6): measured minus predicted.

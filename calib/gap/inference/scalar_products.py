@@ -3,8 +3,6 @@
 A form of more columns than `WIDE_FORM` (a step of each radius in each session) is taken up only where asked for.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
@@ -34,7 +32,7 @@ class Layout:
     wide: int  #: number of the wide form; -1: none
 
     @staticmethod
-    def of(forms: Sequence[Form]) -> Layout:
+    def of(forms: Sequence[Form]) -> "Layout":
         """Arrange forms' columns: at most one form is wide, without signs."""
         counts = np.array([len(form.parameters) for form in forms], dtype=np.int64)
         wide = int(np.argmax(counts)) if len(counts) and counts.max() > WIDE_FORM else -1
@@ -43,7 +41,7 @@ class Layout:
         return Layout.arranged(counts, wide)
 
     @staticmethod
-    def arranged(counts: IntArray, wide: int) -> Layout:
+    def arranged(counts: IntArray, wide: int) -> "Layout":
         """Return where so many columns of each form stand."""
         narrow = np.where(np.arange(len(counts)) == wide, 0, counts)
         starts = np.cumsum(narrow) - narrow
@@ -74,7 +72,7 @@ class FormPriors:
     by_count: FloatArray  #: shape (n_effects + 1,): log prior of a set of so many effects
 
     @staticmethod
-    def from_forms(forms: Sequence[Form], further: float) -> FormPriors:
+    def from_forms(forms: Sequence[Form], further: float) -> "FormPriors":
         """Make it of forms and the prior odds of one effect more at work.
 
         Every number of effects is less likely than one fewer by the same odds, and of so many every set is as likely.
@@ -156,7 +154,7 @@ class Sums:
     n_rows: int  #: length of the gap
     wide: WideSums | None = None  #: of a wide form's columns, behind the others
 
-    def pick(self, scales: BoolArray | slice) -> Sums:
+    def pick(self, scales: BoolArray | slice) -> "Sums":
         """Return some scales only."""
         by_scale = ("gram", "right", "square", "log_det", "log_prior", "kind", "scale")
         wide = None if self.wide is None else replace(self.wide, numbers=self.wide.numbers[scales])

@@ -1,7 +1,5 @@
 """Observations (runs, or windows of recordings) and their steps, as arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from enum import IntEnum
@@ -73,10 +71,10 @@ Value = TypeVar("Value")
 class _KeptIfFew(Generic[Value]):
     """A property of steps, kept unless they are too many."""
 
-    def __init__(self, make: Callable[[Observations], Value]) -> None:
+    def __init__(self, make: "Callable[[Observations], Value]") -> None:
         self.make, self.__doc__ = make, make.__doc__
 
-    def __get__(self, observations: Observations, _: type) -> Value:
+    def __get__(self, observations: "Observations", _: type) -> Value:
         name, known = self.make.__name__, vars(observations)
         if name in known:
             return cast("Value", known[name])
@@ -188,7 +186,7 @@ class Observations:
             edges.append(max(int(np.searchsorted(self.starts, most, side="right")) - 1, edges[-1] + 1))
         return tuple(slice(first, behind) for first, behind in pairwise(edges))
 
-    def parts(self) -> Iterator[Observations]:
+    def parts(self) -> "Iterator[Observations]":
         """Yield observations by `spans`; itself where steps are few."""
         for units in self.spans:
             yield self if len(self.spans) == 1 else self.part(units)
@@ -199,11 +197,11 @@ class Observations:
         """What has a value for each step."""
         return tuple(getattr(self, name) for name in _OF_STEPS)
 
-    def of_parts(self, what: Callable[[Observations], FloatArray]) -> FloatArray:
+    def of_parts(self, what: "Callable[[Observations], FloatArray]") -> FloatArray:
         """Return a quantity (n_obs, ...) worked out from steps, part by part."""
         return np.concatenate([what(part) for part in self.parts()])
 
-    def part(self, units: slice) -> Observations:
+    def part(self, units: slice) -> "Observations":
         """Return some observations, arrays as views. Parts are kept with what is derived from them."""
         place = (units.start, units.stop)
         if place in self._parts:
@@ -214,10 +212,10 @@ class Observations:
         return part
 
     @cached_property
-    def _parts(self) -> dict[tuple[int, int], Observations]:
+    def _parts(self) -> "dict[tuple[int, int], Observations]":
         return {}
 
-    def _part(self, units: slice) -> Observations:
+    def _part(self, units: slice) -> "Observations":
         first, behind = int(self.starts[units.start]), int(self.starts[units.stop])
         starts = self.starts[units.start : units.stop + 1] - first
         changes: dict[str, Any] = {"starts": starts, "first_unit": self.first_unit + units.start}

@@ -1,7 +1,5 @@
 """The figures of radius laws and geometries."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
@@ -242,7 +240,7 @@ CHANNELS: Final = (("along", "mm", 1e3), ("lateral", "mm", 1e3), ("heading", "mr
 
 
 @styled
-def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure:
+def draw_paths(traces: "Sequence[RunTrace]", *, simulated: bool = False) -> Figure:
     """Draw paths by kind of route: nominal, calibrated, coloured by error, and reference."""
     traces = [_thinned(trace) for trace in traces]
     kinds = list(dict.fromkeys(trace.kind for trace in traces))
@@ -277,18 +275,18 @@ def draw_paths(traces: Sequence[RunTrace], *, simulated: bool = False) -> Figure
     return figure
 
 
-def _thinned(trace: RunTrace) -> RunTrace:
+def _thinned(trace: "RunTrace") -> "RunTrace":
     poses = evenly(len(trace.seen), MOST_POINTS)
     names = ("seen", "t_s", "reference_m", "residual_before", "residual_after")
     kept = {name: getattr(trace, name)[poses] for name in names}
     return replace(trace, before_m=trace.before_m[evenly(len(trace.before_m), MOST_POINTS)], **kept)
 
 
-def _error_mm(trace: RunTrace) -> FloatArray:
+def _error_mm(trace: "RunTrace") -> FloatArray:
     return np.asarray(1e3 * np.hypot(*trace.residual_after[:, :2].T))
 
 
-def _coloured(axes: Axes, trace: RunTrace, scale: Normalize, *, pixels: bool) -> ScalarMappable:
+def _coloured(axes: Axes, trace: "RunTrace", scale: Normalize, *, pixels: bool) -> ScalarMappable:
     error_mm = np.nan_to_num(_error_mm(trace))
     if len(trace.seen) < 2:
         axes.plot(*trace.after_m.T, color=BLUE, lw=1.0, label="odometry after")
@@ -303,7 +301,7 @@ def _coloured(axes: Axes, trace: RunTrace, scale: Normalize, *, pixels: bool) ->
 
 
 @styled
-def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
+def residuals_in_time(traces: "Sequence[RunTrace]") -> Figure:
     """Draw residuals along each path, before (grey) and after: a row a run, a column a channel."""
     chosen = [_thinned(trace) for trace in traces if len(trace.seen) > 1][:MOST_RUNS]
     figure = canvas(1.45 * len(chosen) + 1.6)
@@ -325,7 +323,7 @@ def residuals_in_time(traces: Sequence[RunTrace]) -> Figure:
     return figure
 
 
-def _limits(traces: Sequence[RunTrace]) -> list[float]:
+def _limits(traces: "Sequence[RunTrace]") -> list[float]:
     left = np.concatenate([np.abs(trace.residual_after) for trace in traces])
     limits = []
     for values, (_, _, factor) in zip(left.T, CHANNELS, strict=True):
@@ -335,7 +333,7 @@ def _limits(traces: Sequence[RunTrace]) -> list[float]:
 
 
 @styled
-def residuals_by_run(traces: Sequence[RunTrace]) -> Figure:
+def residuals_by_run(traces: "Sequence[RunTrace]") -> Figure:
     """Draw end residuals before and after, in the order driven, by kind of route."""
     figure = canvas(9.0)
     grid = axes_grid(figure, 2, 3, sharex=True)

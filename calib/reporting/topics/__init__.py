@@ -3,8 +3,6 @@
 Here `calib.documents.Result` meets its topic: words and figures by the class of the result.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
@@ -43,7 +41,7 @@ def brief(result: Result) -> str:
     return to_text(content_of(result, brief=True)).rstrip()
 
 
-def figure(result: Result, kind: str | None) -> Figure:
+def figure(result: Result, kind: str | None) -> "Figure":
     """Return a figure of a result, the first one where no kind is named."""
     figures = _FIGURES[type(result).__name__](result)
     kind = next(iter(figures), "") if kind is None else kind
@@ -60,7 +58,7 @@ def content_of(result: Result, *, brief: bool) -> Sequence[Block | Section]:
     return blocks
 
 
-def _fit(fit: Fit) -> Drawings:
+def _fit(fit: "Fit") -> Drawings:
     session = fit.radii.session
     return {
         "regressions": partial(drawn, "calibration.regressions", fit.left, fit.right, session),
@@ -70,20 +68,20 @@ def _fit(fit: Fit) -> Drawings:
     }
 
 
-def _diagnosis(diagnosis: Diagnosis) -> Drawings:
+def _diagnosis(diagnosis: "Diagnosis") -> Drawings:
     from calib.reporting.figures.gap import gap_figures
 
     figures = gap_figures(diagnosis)
     return {name: partial(figures.__getitem__, name) for name in sorted(figures, key=lambda one: one != "before-after")}
 
 
-def _plan(plan: Plan) -> Drawings:
+def _plan(plan: "Plan") -> Drawings:
     from calib.gap.plan.identifiability import outlook_of
 
     return {"matrix": lambda: drawn("gap.plan_matrix", outlook_of(plan.campaign))}
 
 
-def _simulation(simulation: Simulation) -> Drawings:
+def _simulation(simulation: "Simulation") -> Drawings:
     from calib.odometry.simulation import SHOWN
 
     return {

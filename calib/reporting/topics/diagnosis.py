@@ -1,7 +1,5 @@
 """Diagnosis of a gap, runs to drive next, and known effects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -66,7 +64,7 @@ def diagnosis_full(verdict: Diagnosis) -> tuple[Block, ...]:
     return (blocks.Heading(verdict.campaign), *mark, *diagnosis_content(verdict))
 
 
-def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple[Block, ...]:
+def diagnosis_content(verdict: Diagnosis, gap: "GapArrays | None" = None) -> tuple[Block, ...]:
     """Return the statements of a diagnosis, with `gap` its pictures."""
     next_runs = (next_runs_table([run.to_dict() for run in verdict.next_runs]),) if verdict.next_runs else ()
     return (
@@ -85,7 +83,7 @@ def diagnosis_content(verdict: Diagnosis, gap: GapArrays | None = None) -> tuple
     )
 
 
-def gap_section(verdict: Diagnosis, gap: GapArrays | None = None) -> Section:
+def gap_section(verdict: Diagnosis, gap: "GapArrays | None" = None) -> Section:
     """Return a report's section on a diagnosis; `gap`: by default its own."""
     from calib.reporting.figures.gap import GapArrays
 
@@ -94,7 +92,7 @@ def gap_section(verdict: Diagnosis, gap: GapArrays | None = None) -> Section:
     return Section("Diagnosis of the gap", diagnosis_content(verdict, gap))
 
 
-def map_picture(gap: GapArrays | None) -> list[Picture]:
+def map_picture(gap: "GapArrays | None") -> list[Picture]:
     """Return the gap on the floor plan."""
     if gap is None or gap.offset_m is None:
         return []
@@ -103,7 +101,7 @@ def map_picture(gap: GapArrays | None) -> list[Picture]:
     return [picture("gap-map", alt, "gap.gap_map", gap.paths_m, gap.offset_m, gap.labels["kind"])]
 
 
-def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture]:
+def covariate_picture(gap: "GapArrays | None", verdict: Diagnosis) -> list[Picture]:
     """Return the channel furthest above its noise, against what varied."""
     if gap is None:
         return []
@@ -136,7 +134,7 @@ def covariate_picture(gap: GapArrays | None, verdict: Diagnosis) -> list[Picture
     return [Picture("gap-by-covariate", caption("gap-by-covariate", title=title, aside=aside), alt, draw)]
 
 
-def before_after_picture(gap: GapArrays | None) -> list[Picture]:
+def before_after_picture(gap: "GapArrays | None") -> list[Picture]:
     """Return every run's gap before and after the correction."""
     if gap is None or not np.isfinite(gap.before).any():
         return []
@@ -201,7 +199,7 @@ def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
     )
 
 
-def promise_table(now: Promise | None, then: Promise) -> Table:
+def promise_table(now: "Promise | None", then: "Promise") -> Table:
     """Return the half widths that `calib geometry` will give, beside those of the runs driven."""
     before = {} if now is None else {each.name: each.half_width for each in now.estimates}
     rows = []

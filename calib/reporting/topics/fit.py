@@ -1,7 +1,5 @@
 """Result of a fit: both laws with their budget, checks, runs, pictures, and comparison with a model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -61,7 +59,7 @@ def _compared(difference: Difference, name: str, factor: float, unit: str) -> tu
     return (f"{difference.wheel}: {name}", unit, *numbers, "inside" if difference.inside else "OUTSIDE")
 
 
-def result_section(source: Source) -> Section:
+def result_section(source: "Source") -> Section:
     """Return the laws in a table, and the checks' verdict."""
     fit = source.fit
     laws = [wheel.law for wheel in fit.wheels.values()]
@@ -94,7 +92,7 @@ def _listed(assumed: Mapping[str, str]) -> str:
     return ", ".join(f"{key} = {value}" if value else key for key, value in assumed.items())
 
 
-def diagnosis_section(source: Source) -> Section | None:
+def diagnosis_section(source: "Source") -> Section | None:
     """Return the findings of the diagnosis, if any."""
     if source.verdict is None:
         return None
@@ -103,7 +101,7 @@ def diagnosis_section(source: Source) -> Section | None:
     return gap_section(source.verdict, source.gap)
 
 
-def _gap(source: Source) -> tuple[Notice, ...]:
+def _gap(source: "Source") -> tuple[Notice, ...]:
     if source.verdict is None and source.known_verdict is None:
         return ()
     from calib.reporting.topics.diagnosis import TITLES, page_one_notice, with_kind
@@ -176,13 +174,13 @@ def usable_notice(fit: Fit) -> Notice:
     return Notice("good", "The law can be used", "Every check of the fit passed without remark.")
 
 
-def residuals_section(source: Source) -> Section:
+def residuals_section(source: "Source") -> Section:
     """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
     fit = source.fit
     return Section("Residual checks", (residuals_picture(fit), checks_table(fit)))
 
 
-def decision_section(source: Source) -> Section:
+def decision_section(source: "Source") -> Section:
     """Return the rule that judged the checks, and what was not judged."""
     tests = sum(check.p_value is not None for wheel in source.fit.wheels.values() for check in wheel.checks)
     false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
