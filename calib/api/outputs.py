@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from numpy.random import Generator, default_rng
 
@@ -15,6 +15,7 @@ from calib.errors import BadInputError, CalibError
 from calib.gap.decision.diagnosis import Plan
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.io import write_bytes
+from calib.kinematics.assemble import Promise
 from calib.kinematics.result import Geometry
 from calib.odometry import replay as replays
 from calib.odometry import simulation
@@ -24,9 +25,6 @@ from calib.odometry.simulation import LawJourneys, Simulation
 from calib.radius.result import Fit
 from calib.types import FloatArray, Progress, silent
 from calib.vehicle import Vehicle
-
-if TYPE_CHECKING:
-    from calib.kinematics.assemble import Promise
 
 
 @checked
@@ -81,7 +79,7 @@ def _as_found(campaign: Campaign, found: Geometry) -> Campaign:
     return replace(campaign, model=replace(campaign.model, **known))
 
 
-def promised(campaign: Campaign, scales: FloatArray | None = None) -> "Promise | None":
+def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise | None:
     """Return the intervals that the end poses of planned runs promise; None where they determine nothing."""
     from calib.kinematics import assemble
 

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import fields, replace
 from datetime import date
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, ValidationError, model_validator
 
+from calib.campaign.model import Campaign
 from calib.campaign.settings import FrontModel, MecanumModel, OdometryModel, OdometrySource, Reference
 from calib.campaign.wheels import STEERED
 from calib.coefficients import sections
@@ -21,9 +22,6 @@ from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedE
 from calib.radius.law import JOINT, RadiusLaw
 from calib.types import FloatArray, floats
 from calib.vehicle import Drive, Vehicle
-
-if TYPE_CHECKING:
-    from calib.campaign.model import Campaign
 
 FORMAT: Final = "calib-coefficients/1"
 #: what ``calib geometry --into`` and ``--json`` write, with the coefficient file as a section
@@ -196,7 +194,7 @@ class CoefficientFile(Section):
         x, y, yaw = (self.together.get(name, getattr(stated, name)) for name in places)
         return replace(stated, sensor_x_m=x, sensor_y_m=y, sensor_yaw_rad=yaw)
 
-    def refuse_other_vehicle(self, campaign: "Campaign") -> None:
+    def refuse_other_vehicle(self, campaign: Campaign) -> None:
         """Raise RefusedError where the file was made for another vehicle than the campaign's.
 
         Drive and counts a revolution are stated; radii and track may differ as far as calibration moves them.

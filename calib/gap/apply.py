@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import astuple
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,17 +11,14 @@ from calib.coefficients.build import Header, PoseNoise, from_law, joint_section,
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
-from calib.gap.decision.diagnosis import VerdictKind
+from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.effects.library import effect_class, section_of
 from calib.gap.inference.fit import Fitted
 from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 
-if TYPE_CHECKING:
-    from calib.gap.decision.diagnosis import Cause, Diagnosis
 
-
-def applied_model(diagnosis: "Diagnosis", campaign: Campaign, given: Sequence[EffectSection] = ()) -> CoefficientFile:
+def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[EffectSection] = ()) -> CoefficientFile:
     """Return the campaign's model with the named causes added, as a coefficient file; refused where none is named.
 
     The fitted recalibration goes into radii and track, a load effect into the slopes of the law; others are written by
@@ -89,7 +85,7 @@ def applied_model(diagnosis: "Diagnosis", campaign: Campaign, given: Sequence[Ef
 
 
 def _slopes_and_sections(
-    fitted: Fitted, causes: "Sequence[Cause]"
+    fitted: Fitted, causes: Sequence[Cause]
 ) -> tuple[dict[str, tuple[float, int]], list[EffectSection]]:
     """Return slope and its row of the covariance, by side, that the causes add; the other causes written down."""
     named = {cause.effect for cause in causes}

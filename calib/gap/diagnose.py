@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
+from calib.coefficients.sections import EffectSection
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
@@ -41,9 +42,6 @@ from calib.gap.plan.planned_runs import joined
 from calib.gap.predict import Path, measured_gap, predict, residuals
 from calib.types import FloatArray, Progress, silent
 
-if TYPE_CHECKING:
-    from calib.coefficients.sections import EffectSection
-
 #: largest variance factor of the fit over the noise level: more is a cause not found
 MOST_VARIANCE_FACTOR: Final = 1.5
 #: estimates of the noise level, each without the causes named so far; it settles in one or two
@@ -63,7 +61,7 @@ def diagnose_in_full(
     seed: int = 0,
     exclude: tuple[str, ...] = (),
     model: OdometryModel | None = None,
-    applied: "Sequence[EffectSection]" = (),
+    applied: Sequence[EffectSection] = (),
     plan: bool = True,
     model_name: str = "",
     observations: Observations | None = None,
@@ -166,7 +164,7 @@ def diagnosed(
     *,
     name: str = "",
     progress: Progress = silent,
-) -> "tuple[Diagnosis, tuple[EffectSection, ...]]":
+) -> tuple[Diagnosis, tuple[EffectSection, ...]]:
     """Return the diagnosis of calib's own model, and the effects that this model has already; see `diagnose_in_full`.
 
     `name`: the model's, for the words of the diagnosis.
@@ -197,7 +195,7 @@ class _Sought:
     """What the simulator believes, and which effects and blunders are not sought."""
 
     model: OdometryModel | None
-    applied: "Sequence[EffectSection]"
+    applied: Sequence[EffectSection]
     exclude: tuple[str, ...]
     into_windows: bool | None = None  #: see `observations_of`
 
@@ -235,7 +233,7 @@ class _Sought:
             as_counted = measured_gap(nominal, nominal)
         return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
 
-    def observed(self, campaign: Campaign, applied: "Sequence[EffectSection]") -> tuple[Observations, tuple[str, ...]]:
+    def observed(self, campaign: Campaign, applied: Sequence[EffectSection]) -> tuple[Observations, tuple[str, ...]]:
         """Return what was driven, and notes."""
         observations = observations_of(campaign, self.model, into_windows=self.into_windows)
         if np.isfinite(observations.simulated).any():

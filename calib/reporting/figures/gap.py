@@ -2,26 +2,23 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
-from calib.gap.effects.library import UNCHANGED
+from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.effects.library import UNCHANGED, EffectSignature
 from calib.gap.observations.arrays import Channel
+from calib.gap.plan.identifiability import Outlook
+from calib.gap.predict import Path
 from calib.radius.sessions import Groups
 from calib.reporting.figures import style
 from calib.reporting.figures.style import GREY, INK, colour, group_legend, legible, panels, round_down, styled
 from calib.reporting.formatting import readable, with_unit
 from calib.types import FloatArray, StrArray
-
-if TYPE_CHECKING:
-    from calib.gap.decision.diagnosis import Diagnosis
-    from calib.gap.effects.library import EffectSignature
-    from calib.gap.plan.identifiability import Outlook
-    from calib.gap.predict import Path
 
 #: over the floor plan's larger side
 ARROW_SHARE: Final = 0.12
@@ -52,7 +49,7 @@ class GapArrays:
     offset_m: FloatArray | None = None  #: measured minus predicted end position in that frame, shape (n, 2)
 
     @staticmethod
-    def of(diagnosis: "Diagnosis") -> "GapArrays":
+    def of(diagnosis: Diagnosis) -> "GapArrays":
         """Return the arrays of a diagnosis."""
         from calib.gap.localise.covariates import covariate_values
         from calib.gap.predict import measured_gap
@@ -201,7 +198,7 @@ def before_after(
     return figure
 
 
-def gap_figures(diagnosis: "Diagnosis") -> dict[str, Figure]:
+def gap_figures(diagnosis: Diagnosis) -> dict[str, Figure]:
     """Return the figures of a diagnosis by name; figures without data are omitted."""
     gap = GapArrays.of(diagnosis)
     figures: dict[str, Figure] = {}
@@ -272,7 +269,7 @@ def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, Floa
 
 
 @styled
-def signature_figure(signature: "EffectSignature", nominal: "Path") -> Figure:
+def signature_figure(signature: EffectSignature, nominal: Path) -> Figure:
     """Draw a signature beside the model alone on the same runs (`nominal`).
 
     Left a run of each kind without the effect, grey, and with it, enlarged; right the change of each channel.
@@ -291,7 +288,7 @@ def signature_figure(signature: "EffectSignature", nominal: "Path") -> Figure:
     return figure
 
 
-def _draw_plan(axes: Axes, signature: "EffectSignature", nominal: "Path", names: list[str]) -> None:
+def _draw_plan(axes: Axes, signature: EffectSignature, nominal: Path, names: list[str]) -> None:
     s, enlarged = nominal.s, signature.enlarged
     for number, name in enumerate(names):
         units = np.flatnonzero(s.labels["kind"] == name)
@@ -323,7 +320,7 @@ SHADES: Final = ("#B2482C", "#E39A72", "#F1E3C8", "#8FBBD3", "#2F78A8")
 
 
 @styled
-def plan_matrix(outlook: "Outlook") -> Figure:
+def plan_matrix(outlook: Outlook) -> Figure:
     """Draw the matrix: row, the effect at work at its typical size; column, the effect that might be named instead."""
     n = len(outlook.effects)
     figure = style.canvas(float(np.clip(5.0 + 0.36 * n, 8.0, 21.0)))

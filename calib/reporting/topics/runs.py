@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -14,11 +14,9 @@ from calib.radius.result import Fit
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Notice, Section, Table, Text, caption, catalogue, items, paragraph, table
 from calib.reporting.formatting import MISSING, fixed, plural, prose, span
+from calib.reporting.source import Source
 from calib.reporting.topics import fit as results
 from calib.types import FloatArray, grouped
-
-if TYPE_CHECKING:
-    from calib.reporting.source import Source
 
 
 def sessions_table(fit: Fit) -> Table:
@@ -39,7 +37,7 @@ def sessions_table(fit: Fit) -> Table:
     return table(title, columns, rows[: results.MOST_ROWS], dense=True)
 
 
-def runs_section(source: "Source") -> Section:
+def runs_section(source: Source) -> Section:
     """Return the runs used, and not used with the reason."""
     fit, radii = source.fit, source.fit.radii
     sessions = plural(len(set(radii.session.tolist())), "session")
@@ -56,7 +54,7 @@ def runs_section(source: "Source") -> Section:
 TOLERANCE: Final = 5e-4
 
 
-def deviation_section(source: "Source") -> Section:
+def deviation_section(source: Source) -> Section:
     """Return how much longer the wheels' paths were than measured, and what was corrected."""
     radii = source.fit.radii
     known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
