@@ -214,10 +214,11 @@ def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
     return reading
 
 
-def as_simulated(observations: Observations) -> Observations:
+def as_simulated(observations: Observations, noise: FloatArray | float = 0.0) -> Observations:
     """Return the observations with wheels that travel as an outside simulator's do, as far as its ends tell.
 
-    What bends a path is not linear: it is taken about the simulator's path, not the model's.
+    What bends a path is not linear: it is taken about the simulator's path, not the model's. `noise`: see
+    `WheelMotion`; wheels that followed it run by run would bend the path at random.
     """
     nominal = predict(observations)
     change = (observations.simulated - nominal.reading)[:, :4]
@@ -225,7 +226,7 @@ def as_simulated(observations: Observations) -> Observations:
         # some of it is judged against the model itself
         return observations
     change[:, 3] = (change[:, 3] + np.pi) % (2 * np.pi) - np.pi
-    carried = WheelMotion(nominal, np.zeros((len(observations), 4))).carried(np.nan_to_num(change), 1.0)
+    carried = WheelMotion(nominal, np.broadcast_to(noise, change.shape)).carried(np.nan_to_num(change), 1.0)
     unit, model = observations.unit, observations.model
     return replace(
         observations,

@@ -138,7 +138,8 @@ def _simulated_observations(measured: Observations, differences: Differences, ta
     simulated[:, 3] += 2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
     usable = measured.usable & np.isfinite(simulated)
     axis = differences.axis
-    variance = (differences.scatter[differences.rows(measured)] ** 2 / differences.repeats).T
+    noise = differences.scatter[differences.rows(measured)] / np.sqrt(differences.repeats)
+    variance = noise.T**2
     observations = replace(
         measured,
         simulated=np.where(usable, simulated, np.nan),
@@ -149,7 +150,7 @@ def _simulated_observations(measured: Observations, differences: Differences, ta
         sigma_xy_m=np.sqrt(measured.sigma_xy_m**2 + 0.5 * (variance[1] + variance[2])),
         sigma_theta_rad=np.sqrt(measured.sigma_theta_rad**2 + variance[3]),
     )
-    return simulator.as_simulated(observations)
+    return simulator.as_simulated(observations, noise)
 
 
 def _refuse_nonsense(settings: SimulatorSettings, measured: Observations, differences: Differences) -> None:

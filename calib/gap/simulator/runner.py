@@ -220,7 +220,9 @@ class Differences:
         wheels = WheelMotion(nominal, self.scatter[rows] * np.sqrt(2.0 / self.repeats))
         carried = {}
         for each in settings.parameters:
-            size, both_ways = self.size[each.name], self.repeats > 1 and not each.parameter.sign
+            # a run met is on one side
+            both_ways = self.repeats > 1 and not each.parameter.sign and each.name not in self.met
+            size = self.size[each.name]
             carried[each.name] = wheels.carried(self.change[each.name][rows] * size, size, both_ways=both_ways)
         if len(self.met) > 1:
             # what wheels carry is no sum, and would miss the run met
@@ -315,7 +317,8 @@ def _averaged(
     for at, tables in sets.items():
         tables += [next(results) for _ in range(len(tables), counts[at])]
     within = np.stack([difference(table, averaged(tables)) for tables in sets.values() for table in tables])
-    scatter = np.sqrt(np.sum(within**2, axis=0) / (len(within) - len(sets)))
+    # less two, so that a square over it is 1 on average
+    scatter = np.sqrt(np.sum(within**2, axis=0) / (len(within) - len(sets) - 2))
     means = {at: averaged(tables) for at, tables in sets.items()}
     middle = means["", 0.0]
     change = {}
