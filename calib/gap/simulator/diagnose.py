@@ -120,14 +120,34 @@ def _confirmed(
                 continue
             through = differences.through(fix.deviation, fix.table, typical)
             again = searched(through)
-            names = named_parameters(again, runner).keys()
-            if names and (names == tried.keys() or (fix is by_itself and names < tried.keys())):
+            names, parts = named_parameters(again, runner).keys(), {form.effect for form in again.fitted.forms}
+            # not where what it does not name takes a part
+            fewer = fix is by_itself and names < tried.keys() and parts & tried.keys() == names
+            # nor for more effects of the library: a curve imitates these
+            more = len(again.causes) - len(names) > len(diagnosis.causes) - len(named)
+            if names and (names == tried.keys() or fewer) and not more:
                 # beside other effects parameters have other sizes
-                diagnosis, found = again, iterated(again, runner, through, fix if names == tried.keys() else None)
+                diagnosis = _tied_as(diagnosis, again)
+                found = iterated(again, runner, through, fix if names == tried.keys() else None)
                 break
     if found is None:
         return without_parameter(diagnosis)
     return fixed(diagnosis, runner, differences, found, rng)
+
+
+def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
+    """Return a diagnosis with the ties among parameters of a first: runs with one of them do not tell it apart."""
+    before, names = {cause.effect: cause for cause in first.causes}, {cause.effect for cause in diagnosis.causes}
+    own = [group for group in first.groups if all(name.startswith(SIMULATOR_PREFIX) for name in group.effects)]
+    lost = [group for group in own if group.effects[0] in names and group not in diagnosis.groups]
+    if not lost:
+        return diagnosis
+    causes = tuple(
+        replace(cause, probability=min(cause.probability, before.get(cause.effect, cause).probability))
+        for cause in diagnosis.causes
+    )
+    kind = VerdictKind.AMBIGUOUS if diagnosis.kind is VerdictKind.EXPLAINED else diagnosis.kind
+    return replace(diagnosis, kind=kind, causes=causes, groups=(*diagnosis.groups, *lost))
 
 
 def _simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:

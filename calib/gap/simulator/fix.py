@@ -1,6 +1,6 @@
 """The fix of a simulator: what to set in it, by running it again, and the closure that it shows."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -91,7 +91,7 @@ def fixed(
     own = closure_of(nominal, diagnosis.noise, theirs, theirs - (before - after), rng).closure
     fits = own.ci95 is not None and own.ci95[0] > ADEQUATE_CLOSURE
     kind, why = diagnosis.kind, diagnosis.fix.why
-    if kind is VerdictKind.EXPLAINED and (not closes or closure.leaves_part):
+    if kind in {VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS} and (not closes or closure.leaves_part):
         kind = VerdictKind.PARTLY_EXPLAINED
     ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, diagnosis.noise.dof, after)
     worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran))
@@ -145,20 +145,20 @@ def alone(
 ) -> tuple[dict[str, Declared], SimulatorFix | None]:
     """Return parameters that may do without the other causes, and the fix by them; None where they do not.
 
-    They are the named ones, whose `start` is the fix beside the others, or, where the verdict leaves more than noise,
-    those of `_most_able`.
+    They are the named ones, whose `start` is the fix beside the others, or those of `_most_able`, fewest first.
     """
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
-    sets = [(named_parameters(diagnosis, runner), start)]
-    if not sets[0][0] or square > LACKING * int(diagnosis.nominal.s.usable.sum()):
-        sets.append((_most_able(diagnosis, runner), None))
-    for named, begin in sets:
-        if named:
-            found = _followed(diagnosis, base, runner, differences, named, begin, limit=ALONE_SHARE * base.chi_square)
+    limit, own = ALONE_SHARE * base.chi_square, named_parameters(diagnosis, runner)
+    followed = False
+    for named, begin in [(own, start), *((some, None) for some in _most_able(diagnosis, runner))]:
+        # a fix beside other causes may lie where the parameters by themselves lead nowhere
+        if named and not (followed and named.keys() == own.keys()):
+            found = _followed(diagnosis, base, runner, differences, named, begin, limit=limit)
             if found.square < ALONE * square:
                 return named, found
-    return sets[0][0], None
+            followed |= named.keys() == own.keys() and found.square < limit
+    return own, None
 
 
 def _followed(
@@ -323,8 +323,8 @@ def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], FloatArray, FloatArra
     return forms, whole[:, :-1], whole[:, -1]
 
 
-def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
-    """Return, by id, the parameter that leaves least of the gap when plausible, and others that add much."""
+def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> Iterator[dict[str, Declared]]:
+    """Yield, by id, the parameter that leaves least of the gap when plausible, then with others that add much."""
     forms, a, r = _signatures(diagnosis)
     sign = np.array([form.parameters[0].sign for form in forms])
     chosen: list[int] = []
@@ -340,7 +340,7 @@ def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Decla
         if least >= (FURTHER_SHARE if chosen else 1.0) * left:
             break
         chosen, left = [*chosen, best], least
-    return {forms[number].effect: runner.settings.by_cause[forms[number].effect] for number in chosen}
+        yield {forms[number].effect: runner.settings.by_cause[forms[number].effect] for number in chosen}
 
 
 def _share_together(diagnosis: Diagnosis) -> float:
