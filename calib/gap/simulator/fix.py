@@ -171,7 +171,7 @@ def _followed(
     trial: FloatArray | None = None,
     limit: float = np.inf,
 ) -> SimulatorFix:
-    """Run the simulator as `iterated` does, beside other causes, unless that promises to leave more than `limit`."""
+    """Run the simulator as `iterated` does, beside other causes, while that promises to leave less than `limit`."""
     names = [each.name for each in named.values()]
     typical = np.array([each.parameter.typical for each in named.values()])
     left = _without(fitted, named)
@@ -186,11 +186,12 @@ def _followed(
         return _asked(diagnosis.noise, fitted.path, differences, left, table, slope, typical)
 
     now = asked(table, slope)
-    run_first = start is None and now.promised < limit
+    run_first = start is None
     if trial is None:
         trial = at + now.correction
-    for number in range(MOST_RERUNS if now.promised < limit else 0):
-        if now.converged and (number or not run_first):
+    for number in range(MOST_RERUNS):
+        # one run from nominal shows what a step there does not
+        if (now.converged or now.promised >= limit) and (number or not run_first):
             break
         new = _run(runner, differences, named, trial)
         scaled, steeper = (trial - at) / typical, slope
@@ -327,8 +328,9 @@ def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> Iterator[dict[s
     """Yield, by id, the parameter that leaves least of the gap when plausible, then with others that add much."""
     forms, a, r = _signatures(diagnosis)
     sign = np.array([form.parameters[0].sign for form in forms])
+    lacks = diagnosis.fitted.chi_square > LACKING * int(diagnosis.nominal.s.usable.sum())
     chosen: list[int] = []
-    left = float(r @ r)
+    left, further = float(r @ r), 1.0 if lacks else FURTHER_SHARE
     for _ in range(MOST_ALONE):
         trials = []
         for number in set(range(len(forms))) - set(chosen):
@@ -337,7 +339,7 @@ def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> Iterator[dict[s
             if (np.abs(sizes) < 1.0).all() and (sizes * sign[[*chosen, number]] >= 0.0).all():
                 trials.append((float(((r - some @ sizes) ** 2).sum()), number))
         least, best = min(trials, default=(left, -1))
-        if least >= (FURTHER_SHARE if chosen else 1.0) * left:
+        if least >= (further if chosen else 1.0) * left:
             break
         chosen, left = [*chosen, best], least
         yield {forms[number].effect: runner.settings.by_cause[forms[number].effect] for number in chosen}
