@@ -284,6 +284,12 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
         known = dict(zip(steps.items(), tables[1:], strict=True))
         return _averaged(runner, jobs[0], [nominal, again], known, scatter)
     change = {name: difference(table, nominal) / steps[name] for name, table in zip(steps, tables[1:], strict=True)}
+    # what is flat about nominal may act further off
+    idle = [each for each in settings.parameters if not change[each.name].any()]
+    far = [(each.name, way * _most(each)) for each in idle for way in (1, -1) if way * each.sign >= 0]
+    for (name, size), table in zip(far, runner.run([_off(settings, *step) for step in far]), strict=True):
+        if (moved := difference(table, nominal) / size).any():
+            change[name], steps[name] = moved, size
     axis = _distance_axis(tables)
     return Differences(tuple(runner.run_ids), nominal, change, steps, np.zeros_like(nominal), 1, axis)
 
@@ -349,9 +355,13 @@ def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> floa
     """Return the step that changes some channel by `CLEAR_CHANGE` of the scatter; `change`: by the declared one."""
     square = np.maximum(np.mean(change**2, axis=0) - 2.0 * scatter**2, 0.0)
     shown = float(np.max(np.sqrt(square / np.where(scatter > 0.0, scatter, np.inf) ** 2)))
-    # to either side, a length not to nothing
-    most = max(min(each.largest, NOT_NOTHING * abs(each.nominal) or np.inf) / abs(each.step), 1.0)
+    most = max(_most(each) / abs(each.step), 1.0)
     return each.step * min(max(CLEAR_CHANGE / shown, 1.0) if shown > 0.0 else most, most)
+
+
+def _most(each: Declared) -> float:
+    """Return how far to either side a parameter is taken at most, a length not to nothing."""
+    return min(each.largest, NOT_NOTHING * abs(each.nominal) or np.inf)
 
 
 def _distance_axis(tables: list[FloatArray]) -> float | None:
