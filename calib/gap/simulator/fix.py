@@ -185,10 +185,13 @@ def _followed(
     def asked(table: FloatArray, slope: FloatArray) -> _Asked:
         return _asked(diagnosis.noise, fitted.path, differences, left, table, slope, typical)
 
+    # none further off than is plausible: a simulator may fail there
+    far, sign = np.array([(each.largest, each.sign) for each in named.values()]).T
+    ends = np.where(sign > 0, 0.0, -far), np.where(sign < 0, 0.0, far)
     now = asked(table, slope)
     run_first = start is None
     if trial is None:
-        trial = at + now.correction
+        trial = np.clip(at + now.correction, *ends)
     for number in range(MOST_RERUNS):
         # one run from nominal shows what a step there does not
         if (now.converged or now.promised >= limit) and (number or not run_first):
@@ -201,7 +204,7 @@ def _followed(
         then = asked(new, steeper)
         if then.square < (ALIKE if then.converged and differences.repeats > 1 else 1.0) * now.square:
             at, table, slope, now = trial, new, steeper, then
-            trial = at + now.correction
+            trial = np.clip(at + now.correction, *ends)
         elif then.converged:
             break
         else:
