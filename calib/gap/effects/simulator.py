@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -276,30 +275,31 @@ def with_zero(effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Map
     `zeros`: what another zero point looks like, and how much of it, in typical sizes, moves the readings by one of
     their standard deviations; `reach`: by how many of these each form of the effect moves them, by label.
     """
-    shifted = copy(effect)
-    shifted.forms = partial(_forms_with_zero, effect, zeros, reach)  # type: ignore[method-assign]
-    return shifted
 
+    def forms(observations: Observations) -> list[Form]:
+        offsets = [(form, share) for zero, share in zeros.items() for form in zero.forms(observations)]
 
-def _forms_with_zero(
-    effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Mapping[str, float], observations: Observations
-) -> list[Form]:
-    offsets = [(form, share) for zero, share in zeros.items() for form in zero.forms(observations)]
+        def beside(perturbations: Perturbations) -> Perturbations:
+            return lambda path: [
+                *perturbations(path),
+                *(one for form, _ in offsets for one in form.perturbations(path)),
+            ]
 
-    def beside(perturbations: Perturbations) -> Perturbations:
-        return lambda path: [*perturbations(path), *(one for form, _ in offsets for one in form.perturbations(path))]
+        def shifted(form: Form) -> Form:
+            if (form.centre is None and not effect.per_session) or not offsets:
+                return form
+            sizes = [(offset, offset.parameters[0].typical * share * reach[form.label]) for offset, share in offsets]
+            named = [
+                replace(zero.parameters[0], name=f"zero_{zero.effect}", typical=size, largest=3.0 * size, shift=True)
+                for zero, size in sizes
+            ]
+            moved = form.about
+            about = None if moved is None else lambda centre: beside(moved(centre))
+            parameters, perturbations = (*form.parameters, *named), beside(form.perturbations)
+            return replace(form, parameters=parameters, perturbations=perturbations, about=about, by_parts=False)
 
-    def shifted(form: Form) -> Form:
-        if (form.centre is None and not effect.per_session) or not offsets:
-            return form
-        sizes = [(offset, offset.parameters[0].typical * share * reach[form.label]) for offset, share in offsets]
-        named = [
-            replace(zero.parameters[0], name=f"zero_{zero.effect}", typical=size, largest=3.0 * size, shift=True)
-            for zero, size in sizes
-        ]
-        moved = form.about
-        about = None if moved is None else lambda centre: beside(moved(centre))
-        parameters, perturbations = (*form.parameters, *named), beside(form.perturbations)
-        return replace(form, parameters=parameters, perturbations=perturbations, about=about, by_parts=False)
+        return [shifted(form) for form in effect.forms(observations)]
 
-    return [shifted(form) for form in effect.forms(observations)]
+    other = copy(effect)
+    other.forms = forms  # type: ignore[method-assign]
+    return other

@@ -111,7 +111,7 @@ def _confirmed(
     named = named_parameters(diagnosis, runner)
     found = iterated(diagnosis, runner, differences) if named else None
     if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED}:
-        return without_parameter(diagnosis)
+        return diagnosis
     if diagnosis.kind is not VerdictKind.EXPLAINED or len(diagnosis.causes) > len(named):
         tried, by_itself = alone(diagnosis, runner, differences, found)
         typical = {each.name: each.parameter.typical for each in tried.values()}
@@ -137,17 +137,13 @@ def _confirmed(
 
 def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
     """Return a diagnosis with the ties among parameters of a first: runs with one of them do not tell it apart."""
-    before, names = {cause.effect: cause for cause in first.causes}, {cause.effect for cause in diagnosis.causes}
     own = [group for group in first.groups if all(name.startswith(SIMULATOR_PREFIX) for name in group.effects)]
+    names = {cause.effect for cause in diagnosis.causes}
     lost = [group for group in own if group.effects[0] in names and group not in diagnosis.groups]
-    if not lost:
-        return diagnosis
-    causes = tuple(
-        replace(cause, probability=min(cause.probability, before.get(cause.effect, cause).probability))
-        for cause in diagnosis.causes
-    )
-    kind = VerdictKind.AMBIGUOUS if diagnosis.kind is VerdictKind.EXPLAINED else diagnosis.kind
-    return replace(diagnosis, kind=kind, causes=causes, groups=(*diagnosis.groups, *lost))
+    before = {cause.effect: cause.probability for cause in first.causes if lost}
+    causes = [replace(one, probability=min(one.probability, before.get(one.effect, 1.0))) for one in diagnosis.causes]
+    kind = VerdictKind.AMBIGUOUS if lost and diagnosis.kind is VerdictKind.EXPLAINED else diagnosis.kind
+    return replace(diagnosis, kind=kind, causes=tuple(causes), groups=(*diagnosis.groups, *lost))
 
 
 def _simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:

@@ -18,7 +18,7 @@ from typing import IO, Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.gap.effects.simulator import SIMULATOR_PREFIX, SimulatorParameter, WheelMotion
+from calib.gap.effects.simulator import SimulatorParameter, WheelMotion
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
@@ -310,10 +310,7 @@ def _averaged(
         sets[each.name, step] = [first] if step == each.step else []
         if not each.parameter.sign:
             sets[each.name, -step] = []
-    counts = {
-        at: REPEATS if not at[0] or settings.by_cause[SIMULATOR_PREFIX + at[0]].parameter.sign else REPEATS // 2
-        for at in sets
-    }
+    counts = {at: REPEATS // sum(of == at[0] for of, _ in sets) for at in sets}
     more = [
         replace(_off(settings, *at) if at[0] else nominal, repeat=number)
         for at, tables in sets.items()
