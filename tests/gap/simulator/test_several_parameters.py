@@ -1,4 +1,4 @@
-"""What parameters of a simulator do is theirs: also far off, beside a scatter, a small one, or one that does the same."""
+"""What parameters of a simulator do is theirs: far off, beside a scatter, a small one, or one that does the same."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
-import pytest
 
 from calib.campaign.read import read_campaign
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
@@ -34,8 +33,12 @@ def diagnosed(
     hidden: Mapping[str, float],
     scatter: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     seed: int = 0,
+    warm: float = 0.0,
 ) -> Diagnosis:
-    """Diagnose hidden values of parameters that act by a law on those of the example, called in this process."""
+    """Diagnose hidden values of parameters that act by a law on those of the example, called in this process.
+
+    `warm`: by which the radii of the second half are larger, what no parameter does.
+    """
     # the load on one side, then on the other
     uneven = [
         replace(run, load_left_N=run.load_left_N + (-1) ** (number // 2) * 0.4 * (run.load_left_N - 300.0))
@@ -44,14 +47,16 @@ def diagnosed(
     made, rng = campaign(uneven), np.random.default_rng([seed, 1])
     nominal = {name: value for name, (value, *_) in parameters.items()}
 
-    def ends(values: Mapping[str, float]) -> np.ndarray:
-        return numpy_ends(made, lambda _: NOMINAL | law(values))
+    def ends(values: Mapping[str, float], warm: float = 0.0) -> np.ndarray:
+        p = NOMINAL | law(values)
+        radii = {name: value * (1.0 + warm) for name, value in p.items() if name.startswith("wheel_radius")}
+        return numpy_ends(made, lambda number: p | radii if number >= len(made.runs) // 2 else p)
 
     def simulated(_: SimulatorRunner, __: object, job: Job) -> np.ndarray:
         table = ends(job.parameters)
         return table + scatter * rng.standard_normal(table.shape)
 
-    on_disk(folder / "campaign", made, ends(nominal | dict(hidden)), seed)
+    on_disk(folder / "campaign", made, ends(nominal | dict(hidden), warm), seed)
     tables = [f"command = {json.dumps(['true', '{campaign}', '{parameters}', '{out}'])}"]
     for name, values in parameters.items():
         numbers = zip(("nominal", "step", "largest"), values, strict=True)
@@ -71,12 +76,11 @@ def holds(found: Diagnosis, hidden: Mapping[str, float]) -> bool:
     return all(abs(found.fix.parameters[name] - hidden[name]) < SPREAD / 1.96 * half[name] for name in hidden)
 
 
-@pytest.mark.parametrize("seed", [3, 4])
-def test_the_scatter_of_a_simulator_bends_no_path(tmp_path: Path, seed: int) -> None:
+def test_the_scatter_of_a_simulator_bends_no_path(tmp_path: Path) -> None:
     """Headings scatter, too: a slope of the load is all of the gap, and no law of the library takes a part of it."""
     parameters = {"wheel_radius_left": LEFT, "wheel_radius_right": RIGHT, "track": TRACK, "load_slope": SLOPE}
     hidden = {"load_slope": -1.5e-6}
-    found = diagnosed(tmp_path, parameters, dict, hidden, (0.003, 0.005, 0.01, 0.0025), seed)
+    found = diagnosed(tmp_path, parameters, dict, hidden, (0.003, 0.005, 0.01, 0.0025), 4)
     assert holds(found, hidden)
     assert found.recommended
 
@@ -101,14 +105,24 @@ def test_a_small_parameter_beside_a_large_one_is_set_as_well(tmp_path: Path) -> 
     assert holds(found, hidden)
 
 
+def tyre(p: Mapping[str, float]) -> dict[str, float]:
+    """Counts a metre and the tyre multiply."""
+    radius = 0.1 * p["tyre"] / p["counts"]
+    return {"wheel_radius_left": radius, "wheel_radius_right": radius, "track": p["track"]}
+
+
+TYRE = {"tyre": (100.0, 0.2, 10.0), "counts": (100.0, 0.15, 10.0), "track": TRACK}
+
+
 def test_a_parameter_that_does_the_same_stays_in_the_verdict(tmp_path: Path) -> None:
-    """Counts a metre and the tyre multiply: a run with one of them, further off, does not exclude the other."""
-
-    def law(p: Mapping[str, float]) -> dict[str, float]:
-        radius = 0.1 * p["tyre"] / p["counts"]
-        return {"wheel_radius_left": radius, "wheel_radius_right": radius, "track": p["track"]}
-
-    parameters = {"tyre": (100.0, 0.2, 10.0), "counts": (100.0, 0.15, 10.0), "track": TRACK}
-    found = diagnosed(tmp_path, parameters, law, {"tyre": 100.6, "track": 0.695})
+    """A run with one of two that do the same, further off, does not exclude the other."""
+    found = diagnosed(tmp_path, TYRE, tyre, {"tyre": 100.6, "track": 0.695})
     assert found.kind is VerdictKind.AMBIGUOUS
     assert {"simulator:tyre", "simulator:counts"} in [set(group.effects) for group in found.groups]
+
+
+def test_what_two_parameters_may_do_in_part_is_no_whole_explanation(tmp_path: Path) -> None:
+    """That the runs cannot tell two parameters apart does not hide that either of them leaves most of the gap."""
+    found = diagnosed(tmp_path, TYRE, tyre, {"tyre": 100.6}, warm=2e-3)
+    assert any(not cause.effect.startswith("simulator:") for cause in found.causes)
+    assert found.kind is VerdictKind.PARTLY_EXPLAINED
