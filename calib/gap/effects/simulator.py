@@ -255,8 +255,8 @@ class HeldCalibration(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the forms of the effect itself."""
         forms = self.effect.forms(observations)
-        own = [tuple(replace(one, sign=self.sign) for one in form.parameters) for form in forms]
-        return [replace(form, parameters=some) for form, some in zip(forms, own, strict=True)] if self.sign else forms
+        signed = [[replace(one, sign=self.sign or one.sign) for one in form.parameters] for form in forms]
+        return [replace(form, parameters=tuple(some)) for form, some in zip(forms, signed, strict=True)]
 
 
 def without_forms(effect: Effect, labels: Sequence[str]) -> Effect:

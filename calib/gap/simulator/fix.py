@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -145,19 +146,18 @@ def alone(
 ) -> tuple[dict[str, Declared], SimulatorFix | None]:
     """Return parameters that may do without the other causes, and the fix by them; None where they do not.
 
-    They are the named ones, whose `start` is the fix beside the others, or those of `_most_able`, fewest first.
+    They are the named ones, `start` the fix by them, or those of `_most_able`, fewest first.
     """
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
-    limit, own = ALONE_SHARE * base.chi_square, named_parameters(diagnosis, runner)
-    followed = False
-    for named, begin in [(own, start), *((some, None) for some in _most_able(diagnosis, runner))]:
-        # a fix beside other causes may lie where the parameters by themselves lead nowhere
-        if named and not (followed and named.keys() == own.keys()):
-            found = _followed(diagnosis, base, runner, differences, named, begin, limit=limit)
-            if found.square < ALONE * square:
-                return named, found
-            followed |= named.keys() == own.keys() and found.square < limit
+    own, limit = named_parameters(diagnosis, runner), ALONE_SHARE * base.chi_square
+    # a fix beside effects of the library may lie where the parameters by themselves lead nowhere
+    begin = start if len(diagnosis.causes) == len(own) else None
+    others = (some for some in _most_able(diagnosis, runner) if some.keys() != own.keys())
+    for named in filter(None, chain([own], others)):
+        found = _followed(diagnosis, base, runner, differences, named, begin if named is own else None, limit=limit)
+        if found.square < ALONE * square:
+            return named, found
     return own, None
 
 
@@ -189,12 +189,11 @@ def _followed(
     far, sign = np.array([(each.largest, each.sign) for each in named.values()]).T
     ends = np.where(sign > 0, 0.0, -far), np.where(sign < 0, 0.0, far)
     now = asked(table, slope)
-    run_first = start is None
     if trial is None:
         trial = np.clip(at + now.correction, *ends)
     for number in range(MOST_RERUNS):
         # one run from nominal shows what a step there does not
-        if (now.converged or now.promised >= limit) and (number or not run_first):
+        if (now.converged or now.promised >= limit) and (number or start is not None):
             break
         new = _run(runner, differences, named, trial)
         scaled, steeper = (trial - at) / typical, slope
