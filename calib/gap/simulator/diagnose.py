@@ -121,11 +121,9 @@ def _confirmed(
             through = differences.through(fix.deviation, fix.table, typical)
             again = searched(through)
             names, parts = named_parameters(again, runner).keys(), {form.effect for form in again.fitted.forms}
-            # not where what it does not name takes a part
-            fewer = fix is by_itself and names < tried.keys() and parts & tried.keys() == names
-            # nor for more effects of the library: a curve imitates these
-            more = len(again.causes) - len(names) > len(diagnosis.causes) - len(named)
-            if names and (names == tried.keys() or fewer) and not more:
+            others = {cause.effect for cause in again.causes} - names
+            # not where what it omits has a part, nor for other effects of the library
+            if names and names == parts & tried.keys() and others <= {cause.effect for cause in diagnosis.causes}:
                 # beside other effects parameters have other sizes
                 diagnosis = _tied_as(diagnosis, again)
                 found = iterated(again, runner, through, fix if names == tried.keys() else None)
@@ -137,13 +135,11 @@ def _confirmed(
 
 def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
     """Return a diagnosis with the ties among parameters of a first: runs with one of them do not tell it apart."""
-    own = [group for group in first.groups if all(name.startswith(SIMULATOR_PREFIX) for name in group.effects)]
     names = {cause.effect for cause in diagnosis.causes}
+    own = [group for group in first.groups if all(name.startswith(SIMULATOR_PREFIX) for name in group.effects)]
     lost = [group for group in own if group.effects[0] in names and group not in diagnosis.groups]
-    before = {cause.effect: cause.probability for cause in first.causes if lost}
-    causes = [replace(one, probability=min(one.probability, before.get(one.effect, 1.0))) for one in diagnosis.causes]
     kind = VerdictKind.AMBIGUOUS if lost and diagnosis.kind is VerdictKind.EXPLAINED else diagnosis.kind
-    return replace(diagnosis, kind=kind, causes=tuple(causes), groups=(*diagnosis.groups, *lost))
+    return replace(diagnosis, kind=kind, groups=(*diagnosis.groups, *lost))
 
 
 def _simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:
