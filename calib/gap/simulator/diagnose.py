@@ -12,6 +12,7 @@ from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.fix import PLAN
+from calib.gap.decision.kind import NO_GAP_SHOWN
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects import simulator
 from calib.gap.effects.effect import Effect, Form
@@ -110,7 +111,7 @@ def _confirmed(
     diagnosis = searched(differences)
     named = named_parameters(diagnosis, runner)
     found = iterated(diagnosis, runner, differences) if named else None
-    if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED}:
+    if diagnosis.kind in NO_GAP_SHOWN:
         return diagnosis
     if diagnosis.kind is not VerdictKind.EXPLAINED or len(diagnosis.causes) > len(named):
         tried, by_itself = alone(diagnosis, runner, differences, found)

@@ -11,7 +11,7 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.fix import harm
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, closure_of
-from calib.gap.decision.kind import with_left
+from calib.gap.decision.kind import NO_GAP_SHOWN, with_left
 from calib.gap.decision.sentences import joined, sentence
 from calib.gap.decision.trials import trials
 from calib.gap.effects.effect import Form
@@ -38,11 +38,10 @@ FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose 
 #: most that parameters alone may leave over what all causes do, and of the gap's squares
 ALONE: Final = 2.0
 ALONE_SHARE: Final = 0.5
-#: squares over the noise's beyond which others than the named are tried
+#: squares over the noise's that settle a fix
 LACKING: Final = 1.5
-#: so many, each if it leaves less than this share
+#: parameters tried together
 MOST_ALONE: Final = 3
-FURTHER_SHARE: Final = 0.5
 #: prior standard deviation of a correction in typical sizes: a finite solution
 CORRECTION_SD: Final = 30.0
 
@@ -86,11 +85,10 @@ def fixed(
     held_out = closure_of(nominal, diagnosis.noise, before, after, rng)
     closure = held_out.closure
     assert diagnosis.evidence is not None
-    closes = closure.ci95 is not None and closure.ci95[0] > ADEQUATE_CLOSURE
     # the parameters need not close what causes of the library take
     theirs = _without(diagnosis.fitted, named)
     own = closure_of(nominal, diagnosis.noise, theirs, theirs - (before - after), rng).closure
-    fits = own.ci95 is not None and own.ci95[0] > ADEQUATE_CLOSURE
+    closes, fits = (each.ci95 is not None and each.ci95[0] > ADEQUATE_CLOSURE for each in (closure, own))
     kind, why = diagnosis.kind, diagnosis.fix.why
     if kind in {VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS} and (not closes or closure.leaves_part):
         kind = VerdictKind.PARTLY_EXPLAINED
@@ -301,7 +299,7 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
 
 def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
     """Return a diagnosis that names no parameter, and says so; closure on held-out runs."""
-    if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED} or any(
+    if diagnosis.kind in NO_GAP_SHOWN or any(
         name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects
     ):
         return diagnosis
@@ -327,12 +325,10 @@ def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], FloatArray, FloatArra
 
 
 def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> Iterator[dict[str, Declared]]:
-    """Yield, by id, the parameter that leaves least of the gap when plausible, then with others that add much."""
+    """Yield, by id, the parameter that leaves least of the gap when plausible, then with others beside it."""
     forms, a, r = _signatures(diagnosis)
     sign = np.array([form.parameters[0].sign for form in forms])
-    lacks = diagnosis.fitted.chi_square > LACKING * int(diagnosis.nominal.s.usable.sum())
     chosen: list[int] = []
-    left, further = float(r @ r), 1.0 if lacks else FURTHER_SHARE
     for _ in range(MOST_ALONE):
         trials = []
         for number in set(range(len(forms))) - set(chosen):
@@ -340,10 +336,9 @@ def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> Iterator[dict[s
             sizes = np.linalg.solve(some.T @ some + 1e-9 * np.eye(len(chosen) + 1), some.T @ r)
             if (np.abs(sizes) < 1.0).all() and (sizes * sign[[*chosen, number]] >= 0.0).all():
                 trials.append((float(((r - some @ sizes) ** 2).sum()), number))
-        least, best = min(trials, default=(left, -1))
-        if least >= (further if chosen else 1.0) * left:
+        if not trials:
             break
-        chosen, left = [*chosen, best], least
+        chosen.append(min(trials)[1])
         yield {forms[number].effect: runner.settings.by_cause[forms[number].effect] for number in chosen}
 
 

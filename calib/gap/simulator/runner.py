@@ -226,13 +226,11 @@ class Differences:
             carried[each.name] = wheels.carried(self.change[each.name][rows] * size, size, both_ways=both_ways)
         if len(self.met) > 1:
             # what wheels carry is no sum, and would miss the run met
-            met = [(carried[name], size) for name, size in self.met.items()]
-            pushes = [motion.motion(size) for motion, size in met]
+            pushes = [carried[name].motion(size) for name, size in self.met.items()]
             moved = (predict(nominal.s, pushes).reading - nominal.reading)[:, :4]
-            whole = sum(self.change[name][rows] * size for name, size in self.met.items())
-            known = sum(carried[name].reading * size for name, size in self.met.items())
+            left = sum((self.change[name][rows] - carried[name].reading) * size for name, size in self.met.items())
             (first, size), *_ = self.met.items()
-            missed = np.where(wheels.on, whole - known - moved, 0.0)
+            missed = np.where(wheels.on, left - moved, 0.0)
             carried[first] = replace(carried[first], reading=carried[first].reading + missed / size)
         return [SimulatorParameter(each.parameter, carried[each.name], each.family) for each in settings.parameters]
 
@@ -286,12 +284,13 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
     change = {name: difference(table, nominal) / steps[name] for name, table in zip(steps, tables[1:], strict=True)}
     # what is flat about nominal may act further off
     idle = [each for each in settings.parameters if not change[each.name].any()]
-    far = [(each.name, way * _most(each)) for each in idle for way in (1, -1) if way * each.sign >= 0]
+    nothing = np.zeros_like(nominal)
+    far = [(each.name, way * _clear_step(each, nothing, nothing)) for each in idle for way in (-1, 1)[abs(each.sign) :]]
     for (name, size), table in zip(far, runner.run([_off(settings, *step) for step in far]), strict=True):
         if (moved := difference(table, nominal) / size).any():
             change[name], steps[name] = moved, size
     axis = _distance_axis(tables)
-    return Differences(tuple(runner.run_ids), nominal, change, steps, np.zeros_like(nominal), 1, axis)
+    return Differences(tuple(runner.run_ids), nominal, change, steps, nothing, 1, axis)
 
 
 def _averaged(
@@ -352,13 +351,9 @@ def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> floa
     """Return the step that changes some channel by `CLEAR_CHANGE` of the scatter; `change`: by the declared one."""
     square = np.maximum(np.mean(change**2, axis=0) - 2.0 * scatter**2, 0.0)
     shown = float(np.max(np.sqrt(square / np.where(scatter > 0.0, scatter, np.inf) ** 2)))
-    most = max(_most(each) / abs(each.step), 1.0)
+    # to either side, a length not to nothing
+    most = max(min(each.largest, NOT_NOTHING * abs(each.nominal) or np.inf) / abs(each.step), 1.0)
     return each.step * min(max(CLEAR_CHANGE / shown, 1.0) if shown > 0.0 else most, most)
-
-
-def _most(each: Declared) -> float:
-    """Return how far to either side a parameter is taken at most, a length not to nothing."""
-    return min(each.largest, NOT_NOTHING * abs(each.nominal) or np.inf)
 
 
 def _distance_axis(tables: list[FloatArray]) -> float | None:
