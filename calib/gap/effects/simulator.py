@@ -216,8 +216,7 @@ def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
 def as_simulated(observations: Observations, noise: FloatArray | float = 0.0) -> Observations:
     """Return the observations with wheels that travel as an outside simulator's do, as far as its ends tell.
 
-    What bends a path is not linear: it is taken about the simulator's path, not the model's. `noise`: see
-    `WheelMotion`; wheels that followed it run by run would bend the path at random.
+    What bends a path is not linear: it is taken about the simulator's path, not the model's, nor its `noise`'s.
     """
     nominal = predict(observations)
     change = (observations.simulated - nominal.reading)[:, :4]

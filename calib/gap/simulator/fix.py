@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -89,13 +88,11 @@ def fixed(
     theirs = _without(diagnosis.fitted, named)
     own = closure_of(nominal, diagnosis.noise, theirs, theirs - (before - after), rng).closure
     closes, fits = (each.ci95 is not None and each.ci95[0] > ADEQUATE_CLOSURE for each in (closure, own))
-    kind, why = diagnosis.kind, diagnosis.fix.why
-    if kind in {VerdictKind.EXPLAINED, VerdictKind.AMBIGUOUS} and (not closes or closure.leaves_part):
-        kind = VerdictKind.PARTLY_EXPLAINED
+    kind = diagnosis.kind if closes and not closure.leaves_part else VerdictKind.PARTLY_EXPLAINED
     ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, diagnosis.noise.dof, after)
     worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran))
     recommended = diagnosis.fix.recommended and fits and found.settled and not worse
-    why = (*why, *worse)
+    why = (*diagnosis.fix.why, *worse)
     if not fits:
         low, high = (100.0 * max(share, 0.0) for share in own.ci95 or (0.0, 0.0))
         wanted = f"where {100 * ADEQUATE_CLOSURE:.0f} % are to be certain"
@@ -148,14 +145,15 @@ def alone(
     """
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
-    own, limit = named_parameters(diagnosis, runner), ALONE_SHARE * base.chi_square
-    # a fix beside effects of the library may lie where the parameters by themselves lead nowhere
+    own = named_parameters(diagnosis, runner)
+    # beside effects of the library a fix may lie where the parameters by themselves lead nowhere
     begin = start if len(diagnosis.causes) == len(own) else None
-    others = (some for some in _most_able(diagnosis, runner) if some.keys() != own.keys())
-    for named in filter(None, chain([own], others)):
-        found = _followed(diagnosis, base, runner, differences, named, begin if named is own else None, limit=limit)
-        if found.square < ALONE * square:
-            return named, found
+    for named in (own, *(some for some in _most_able(diagnosis, runner) if some.keys() != own.keys())):
+        if named:
+            first = begin if named is own else None
+            found = _followed(diagnosis, base, runner, differences, named, first, limit=ALONE_SHARE * base.chi_square)
+            if found.square < ALONE * square:
+                return named, found
     return own, None
 
 
@@ -184,11 +182,10 @@ def _followed(
         return _asked(diagnosis.noise, fitted.path, differences, left, table, slope, typical)
 
     # none further off than is plausible: a simulator may fail there
-    far, sign = np.array([(each.largest, each.sign) for each in named.values()]).T
-    ends = np.where(sign > 0, 0.0, -far), np.where(sign < 0, 0.0, far)
+    far = np.array([each.largest for each in named.values()])
     now = asked(table, slope)
     if trial is None:
-        trial = np.clip(at + now.correction, *ends)
+        trial = np.clip(at + now.correction, -far, far)
     for number in range(MOST_RERUNS):
         # one run from nominal shows what a step there does not
         if (now.converged or now.promised >= limit) and (number or start is not None):
@@ -201,7 +198,7 @@ def _followed(
         then = asked(new, steeper)
         if then.square < (ALIKE if then.converged and differences.repeats > 1 else 1.0) * now.square:
             at, table, slope, now = trial, new, steeper, then
-            trial = np.clip(at + now.correction, *ends)
+            trial = np.clip(at + now.correction, -far, far)
         elif then.converged:
             break
         else:
