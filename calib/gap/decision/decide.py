@@ -55,7 +55,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     causes = naming.limited_beside(unexplained, naming.causes_of(evidence, stated, certain, forms_open))
     # no reading decides between causes of what went together
     causes = naming.limited_to_even(causes, {group[0] for group in groups if parting(group)}.union(differing))
-    small = _small(evidence, causes, probable)
+    small = _small(evidence, causes, probable, certain)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
     # probable by an alias and hardly in the 95 % set: not the cause to name
     doubted = {cause.effect for cause in causes if cause.probability <= 1.0 - confounding.CREDIBLE}
@@ -229,8 +229,12 @@ def _kind(
     return VerdictKind.PARTLY_EXPLAINED if unconfirmed and kind is VerdictKind.EXPLAINED else kind
 
 
-def _small(evidence: Evidence, causes: Sequence[Cause], probable: set[str]) -> tuple[str, ...]:
-    small = naming.negligible(causes, confounding.with_alternatives(evidence, _families(evidence)))
+def _small(
+    evidence: Evidence, causes: Sequence[Cause], probable: set[str], certain: Mapping[str, float]
+) -> tuple[str, ...]:
+    # a simulator is run: no law of it is in error
+    own = {name: certain[name] for name in evidence.named if evidence.effects[name].family is Family.SIMULATOR}
+    small = naming.negligible(causes, confounding.with_alternatives(evidence, _families(evidence)) | own)
     others = [cause for cause in causes if cause.effect in probable.difference(small)]
     return small + _form_errors(evidence, others)
 

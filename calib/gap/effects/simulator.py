@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -214,10 +213,10 @@ def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
     return reading
 
 
-def as_simulated(observations: Observations) -> Observations:
+def as_simulated(observations: Observations, noise: FloatArray | float = 0.0) -> Observations:
     """Return the observations with wheels that travel as an outside simulator's do, as far as its ends tell.
 
-    What bends a path is not linear: it is taken about the simulator's path, not the model's.
+    What bends a path is not linear: it is taken about the simulator's path, not the model's, nor its `noise`'s.
     """
     nominal = predict(observations)
     change = (observations.simulated - nominal.reading)[:, :4]
@@ -225,7 +224,7 @@ def as_simulated(observations: Observations) -> Observations:
         # some of it is judged against the model itself
         return observations
     change[:, 3] = (change[:, 3] + np.pi) % (2 * np.pi) - np.pi
-    carried = WheelMotion(nominal, np.zeros((len(observations), 4))).carried(np.nan_to_num(change), 1.0)
+    carried = WheelMotion(nominal, np.broadcast_to(noise, change.shape)).carried(np.nan_to_num(change), 1.0)
     unit, model = observations.unit, observations.model
     return replace(
         observations,
@@ -255,8 +254,8 @@ class HeldCalibration(Effect):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the forms of the effect itself."""
         forms = self.effect.forms(observations)
-        own = [tuple(replace(one, sign=self.sign) for one in form.parameters) for form in forms]
-        return [replace(form, parameters=some) for form, some in zip(forms, own, strict=True)] if self.sign else forms
+        signed = [[replace(one, sign=self.sign or one.sign) for one in form.parameters] for form in forms]
+        return [replace(form, parameters=tuple(some)) for form, some in zip(forms, signed, strict=True)]
 
 
 def without_forms(effect: Effect, labels: Sequence[str]) -> Effect:
@@ -275,30 +274,31 @@ def with_zero(effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Map
     `zeros`: what another zero point looks like, and how much of it, in typical sizes, moves the readings by one of
     their standard deviations; `reach`: by how many of these each form of the effect moves them, by label.
     """
-    shifted = copy(effect)
-    shifted.forms = partial(_forms_with_zero, effect, zeros, reach)  # type: ignore[method-assign]
-    return shifted
 
+    def forms(observations: Observations) -> list[Form]:
+        offsets = [(form, share) for zero, share in zeros.items() for form in zero.forms(observations)]
 
-def _forms_with_zero(
-    effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Mapping[str, float], observations: Observations
-) -> list[Form]:
-    offsets = [(form, share) for zero, share in zeros.items() for form in zero.forms(observations)]
+        def beside(perturbations: Perturbations) -> Perturbations:
+            return lambda path: [
+                *perturbations(path),
+                *(one for form, _ in offsets for one in form.perturbations(path)),
+            ]
 
-    def beside(perturbations: Perturbations) -> Perturbations:
-        return lambda path: [*perturbations(path), *(one for form, _ in offsets for one in form.perturbations(path))]
+        def shifted(form: Form) -> Form:
+            if (form.centre is None and not effect.per_session) or not offsets:
+                return form
+            sizes = [(offset, offset.parameters[0].typical * share * reach[form.label]) for offset, share in offsets]
+            named = [
+                replace(zero.parameters[0], name=f"zero_{zero.effect}", typical=size, largest=3.0 * size, shift=True)
+                for zero, size in sizes
+            ]
+            moved = form.about
+            about = None if moved is None else lambda centre: beside(moved(centre))
+            parameters, perturbations = (*form.parameters, *named), beside(form.perturbations)
+            return replace(form, parameters=parameters, perturbations=perturbations, about=about, by_parts=False)
 
-    def shifted(form: Form) -> Form:
-        if (form.centre is None and not effect.per_session) or not offsets:
-            return form
-        sizes = [(offset, offset.parameters[0].typical * share * reach[form.label]) for offset, share in offsets]
-        named = [
-            replace(zero.parameters[0], name=f"zero_{zero.effect}", typical=size, largest=3.0 * size, shift=True)
-            for zero, size in sizes
-        ]
-        moved = form.about
-        about = None if moved is None else lambda centre: beside(moved(centre))
-        parameters, perturbations = (*form.parameters, *named), beside(form.perturbations)
-        return replace(form, parameters=parameters, perturbations=perturbations, about=about, by_parts=False)
+        return [shifted(form) for form in effect.forms(observations)]
 
-    return [shifted(form) for form in effect.forms(observations)]
+    other = copy(effect)
+    other.forms = forms  # type: ignore[method-assign]
+    return other

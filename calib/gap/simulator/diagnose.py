@@ -12,6 +12,7 @@ from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.fix import PLAN
+from calib.gap.decision.kind import NO_GAP_SHOWN
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects import simulator
 from calib.gap.effects.effect import Effect, Form
@@ -110,8 +111,8 @@ def _confirmed(
     diagnosis = searched(differences)
     named = named_parameters(diagnosis, runner)
     found = iterated(diagnosis, runner, differences) if named else None
-    if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED}:
-        return without_parameter(diagnosis)
+    if diagnosis.kind in NO_GAP_SHOWN:
+        return diagnosis
     if diagnosis.kind is not VerdictKind.EXPLAINED or len(diagnosis.causes) > len(named):
         tried, by_itself = alone(diagnosis, runner, differences, found)
         typical = {each.name: each.parameter.typical for each in tried.values()}
@@ -120,14 +121,26 @@ def _confirmed(
                 continue
             through = differences.through(fix.deviation, fix.table, typical)
             again = searched(through)
-            names = named_parameters(again, runner).keys()
-            if names and (names == tried.keys() or (fix is by_itself and names < tried.keys())):
+            names, parts = named_parameters(again, runner).keys(), {form.effect for form in again.fitted.forms}
+            others = {cause.effect for cause in again.causes} - names
+            # not where what it omits has a part, nor for other effects of the library
+            if names and names == parts & tried.keys() and others <= {cause.effect for cause in diagnosis.causes}:
                 # beside other effects parameters have other sizes
-                diagnosis, found = again, iterated(again, runner, through, fix if names == tried.keys() else None)
+                diagnosis = _tied_as(diagnosis, again)
+                found = iterated(again, runner, through, fix if names == tried.keys() else None)
                 break
     if found is None:
         return without_parameter(diagnosis)
     return fixed(diagnosis, runner, differences, found, rng)
+
+
+def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
+    """Return a diagnosis with the ties among parameters of a first: runs with one of them do not tell it apart."""
+    names = {cause.effect for cause in diagnosis.causes}
+    own = [group for group in first.groups if all(name.startswith(SIMULATOR_PREFIX) for name in group.effects)]
+    lost = [group for group in own if group.effects[0] in names and group not in diagnosis.groups]
+    kind = VerdictKind.AMBIGUOUS if lost and diagnosis.kind is VerdictKind.EXPLAINED else diagnosis.kind
+    return replace(diagnosis, kind=kind, groups=(*diagnosis.groups, *lost))
 
 
 def _simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:
@@ -138,7 +151,8 @@ def _simulated_observations(measured: Observations, differences: Differences, ta
     simulated[:, 3] += 2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
     usable = measured.usable & np.isfinite(simulated)
     axis = differences.axis
-    variance = (differences.scatter[differences.rows(measured)] ** 2 / differences.repeats).T
+    noise = differences.scatter[differences.rows(measured)] / np.sqrt(differences.repeats)
+    variance = noise.T**2
     observations = replace(
         measured,
         simulated=np.where(usable, simulated, np.nan),
@@ -149,7 +163,7 @@ def _simulated_observations(measured: Observations, differences: Differences, ta
         sigma_xy_m=np.sqrt(measured.sigma_xy_m**2 + 0.5 * (variance[1] + variance[2])),
         sigma_theta_rad=np.sqrt(measured.sigma_theta_rad**2 + variance[3]),
     )
-    return simulator.as_simulated(observations)
+    return simulator.as_simulated(observations, noise)
 
 
 def _refuse_nonsense(settings: SimulatorSettings, measured: Observations, differences: Differences) -> None:

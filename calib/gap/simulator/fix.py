@@ -1,6 +1,6 @@
 """The fix of a simulator: what to set in it, by running it again, and the closure that it shows."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -10,7 +10,7 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.fix import harm
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, closure_of
-from calib.gap.decision.kind import with_left
+from calib.gap.decision.kind import NO_GAP_SHOWN, with_left
 from calib.gap.decision.sentences import joined, sentence
 from calib.gap.decision.trials import trials
 from calib.gap.effects.effect import Form
@@ -37,11 +37,10 @@ FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose 
 #: most that parameters alone may leave over what all causes do, and of the gap's squares
 ALONE: Final = 2.0
 ALONE_SHARE: Final = 0.5
-#: squares over the noise's beyond which others than the named are tried
+#: squares over the noise's that settle a fix
 LACKING: Final = 1.5
-#: so many, each if it leaves less than this share
+#: parameters tried together
 MOST_ALONE: Final = 3
-FURTHER_SHARE: Final = 0.5
 #: prior standard deviation of a correction in typical sizes: a finite solution
 CORRECTION_SD: Final = 30.0
 
@@ -85,18 +84,15 @@ def fixed(
     held_out = closure_of(nominal, diagnosis.noise, before, after, rng)
     closure = held_out.closure
     assert diagnosis.evidence is not None
-    closes = closure.ci95 is not None and closure.ci95[0] > ADEQUATE_CLOSURE
     # the parameters need not close what causes of the library take
     theirs = _without(diagnosis.fitted, named)
     own = closure_of(nominal, diagnosis.noise, theirs, theirs - (before - after), rng).closure
-    fits = own.ci95 is not None and own.ci95[0] > ADEQUATE_CLOSURE
-    kind, why = diagnosis.kind, diagnosis.fix.why
-    if kind is VerdictKind.EXPLAINED and (not closes or closure.leaves_part):
-        kind = VerdictKind.PARTLY_EXPLAINED
+    closes, fits = (each.ci95 is not None and each.ci95[0] > ADEQUATE_CLOSURE for each in (closure, own))
+    kind = diagnosis.kind if closes and not closure.leaves_part else VerdictKind.PARTLY_EXPLAINED
     ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, diagnosis.noise.dof, after)
     worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran))
     recommended = diagnosis.fix.recommended and fits and found.settled and not worse
-    why = (*why, *worse)
+    why = (*diagnosis.fix.why, *worse)
     if not fits:
         low, high = (100.0 * max(share, 0.0) for share in own.ci95 or (0.0, 0.0))
         wanted = f"where {100 * ADEQUATE_CLOSURE:.0f} % are to be certain"
@@ -145,20 +141,20 @@ def alone(
 ) -> tuple[dict[str, Declared], SimulatorFix | None]:
     """Return parameters that may do without the other causes, and the fix by them; None where they do not.
 
-    They are the named ones, whose `start` is the fix beside the others, or, where the verdict leaves more than noise,
-    those of `_most_able`.
+    They are the named ones, `start` the fix by them, or those of `_most_able`, fewest first.
     """
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
-    sets = [(named_parameters(diagnosis, runner), start)]
-    if not sets[0][0] or square > LACKING * int(diagnosis.nominal.s.usable.sum()):
-        sets.append((_most_able(diagnosis, runner), None))
-    for named, begin in sets:
+    own = named_parameters(diagnosis, runner)
+    # beside effects of the library a fix may lie where the parameters by themselves lead nowhere
+    begin = start if len(diagnosis.causes) == len(own) else None
+    for named in (own, *(some for some in _most_able(diagnosis, runner) if some.keys() != own.keys())):
         if named:
-            found = _followed(diagnosis, base, runner, differences, named, begin, limit=ALONE_SHARE * base.chi_square)
+            first = begin if named is own else None
+            found = _followed(diagnosis, base, runner, differences, named, first, limit=ALONE_SHARE * base.chi_square)
             if found.square < ALONE * square:
                 return named, found
-    return sets[0][0], None
+    return own, None
 
 
 def _followed(
@@ -171,7 +167,7 @@ def _followed(
     trial: FloatArray | None = None,
     limit: float = np.inf,
 ) -> SimulatorFix:
-    """Run the simulator as `iterated` does, beside other causes, unless that promises to leave more than `limit`."""
+    """Run the simulator as `iterated` does, beside other causes, while that promises to leave less than `limit`."""
     names = [each.name for each in named.values()]
     typical = np.array([each.parameter.typical for each in named.values()])
     left = _without(fitted, named)
@@ -185,12 +181,14 @@ def _followed(
     def asked(table: FloatArray, slope: FloatArray) -> _Asked:
         return _asked(diagnosis.noise, fitted.path, differences, left, table, slope, typical)
 
+    # none further off than is plausible: a simulator may fail there
+    far = np.array([each.largest for each in named.values()])
     now = asked(table, slope)
-    run_first = start is None and now.promised < limit
     if trial is None:
-        trial = at + now.correction
-    for number in range(MOST_RERUNS if now.promised < limit else 0):
-        if now.converged and (number or not run_first):
+        trial = np.clip(at + now.correction, -far, far)
+    for number in range(MOST_RERUNS):
+        # one run from nominal shows what a step there does not
+        if (now.converged or now.promised >= limit) and (number or start is not None):
             break
         new = _run(runner, differences, named, trial)
         scaled, steeper = (trial - at) / typical, slope
@@ -200,7 +198,7 @@ def _followed(
         then = asked(new, steeper)
         if then.square < (ALIKE if then.converged and differences.repeats > 1 else 1.0) * now.square:
             at, table, slope, now = trial, new, steeper, then
-            trial = at + now.correction
+            trial = np.clip(at + now.correction, -far, far)
         elif then.converged:
             break
         else:
@@ -298,7 +296,7 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
 
 def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
     """Return a diagnosis that names no parameter, and says so; closure on held-out runs."""
-    if diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED} or any(
+    if diagnosis.kind in NO_GAP_SHOWN or any(
         name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects
     ):
         return diagnosis
@@ -323,12 +321,11 @@ def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], FloatArray, FloatArra
     return forms, whole[:, :-1], whole[:, -1]
 
 
-def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
-    """Return, by id, the parameter that leaves least of the gap when plausible, and others that add much."""
+def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> Iterator[dict[str, Declared]]:
+    """Yield, by id, the parameter that leaves least of the gap when plausible, then with others beside it."""
     forms, a, r = _signatures(diagnosis)
     sign = np.array([form.parameters[0].sign for form in forms])
     chosen: list[int] = []
-    left = float(r @ r)
     for _ in range(MOST_ALONE):
         trials = []
         for number in set(range(len(forms))) - set(chosen):
@@ -336,11 +333,10 @@ def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Decla
             sizes = np.linalg.solve(some.T @ some + 1e-9 * np.eye(len(chosen) + 1), some.T @ r)
             if (np.abs(sizes) < 1.0).all() and (sizes * sign[[*chosen, number]] >= 0.0).all():
                 trials.append((float(((r - some @ sizes) ** 2).sum()), number))
-        least, best = min(trials, default=(left, -1))
-        if least >= (FURTHER_SHARE if chosen else 1.0) * left:
+        if not trials:
             break
-        chosen, left = [*chosen, best], least
-    return {forms[number].effect: runner.settings.by_cause[forms[number].effect] for number in chosen}
+        chosen.append(min(trials)[1])
+        yield {forms[number].effect: runner.settings.by_cause[forms[number].effect] for number in chosen}
 
 
 def _share_together(diagnosis: Diagnosis) -> float:

@@ -18,7 +18,7 @@ from typing import IO, Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.gap.effects.simulator import SIMULATOR_PREFIX, SimulatorParameter, WheelMotion
+from calib.gap.effects.simulator import SimulatorParameter, WheelMotion
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
@@ -220,17 +220,17 @@ class Differences:
         wheels = WheelMotion(nominal, self.scatter[rows] * np.sqrt(2.0 / self.repeats))
         carried = {}
         for each in settings.parameters:
-            size, both_ways = self.size[each.name], self.repeats > 1 and not each.parameter.sign
+            # a run met is on one side
+            both_ways = self.repeats > 1 and not each.parameter.sign and each.name not in self.met
+            size = self.size[each.name]
             carried[each.name] = wheels.carried(self.change[each.name][rows] * size, size, both_ways=both_ways)
         if len(self.met) > 1:
             # what wheels carry is no sum, and would miss the run met
-            met = [(carried[name], size) for name, size in self.met.items()]
-            pushes = [motion.motion(size) for motion, size in met]
+            pushes = [carried[name].motion(size) for name, size in self.met.items()]
             moved = (predict(nominal.s, pushes).reading - nominal.reading)[:, :4]
-            whole = sum(self.change[name][rows] * size for name, size in self.met.items())
-            known = sum(carried[name].reading * size for name, size in self.met.items())
+            left = sum((self.change[name][rows] - carried[name].reading) * size for name, size in self.met.items())
             (first, size), *_ = self.met.items()
-            missed = np.where(wheels.on, whole - known - moved, 0.0)
+            missed = np.where(wheels.on, left - moved, 0.0)
             carried[first] = replace(carried[first], reading=carried[first].reading + missed / size)
         return [SimulatorParameter(each.parameter, carried[each.name], each.family) for each in settings.parameters]
 
@@ -282,8 +282,15 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
         known = dict(zip(steps.items(), tables[1:], strict=True))
         return _averaged(runner, jobs[0], [nominal, again], known, scatter)
     change = {name: difference(table, nominal) / steps[name] for name, table in zip(steps, tables[1:], strict=True)}
+    # what is flat about nominal may act further off
+    idle = [each for each in settings.parameters if not change[each.name].any()]
+    nothing = np.zeros_like(nominal)
+    far = [(each.name, way * _clear_step(each, nothing, nothing)) for each in idle for way in (-1, 1)[abs(each.sign) :]]
+    for (name, size), table in zip(far, runner.run([_off(settings, *step) for step in far]), strict=True):
+        if (moved := difference(table, nominal) / size).any():
+            change[name], steps[name] = moved, size
     axis = _distance_axis(tables)
-    return Differences(tuple(runner.run_ids), nominal, change, steps, np.zeros_like(nominal), 1, axis)
+    return Differences(tuple(runner.run_ids), nominal, change, steps, nothing, 1, axis)
 
 
 def _averaged(
@@ -302,10 +309,7 @@ def _averaged(
         sets[each.name, step] = [first] if step == each.step else []
         if not each.parameter.sign:
             sets[each.name, -step] = []
-    counts = {
-        at: REPEATS if not at[0] or settings.by_cause[SIMULATOR_PREFIX + at[0]].parameter.sign else REPEATS // 2
-        for at in sets
-    }
+    counts = {at: REPEATS // sum(of == at[0] for of, _ in sets) for at in sets}
     more = [
         replace(_off(settings, *at) if at[0] else nominal, repeat=number)
         for at, tables in sets.items()
@@ -315,7 +319,8 @@ def _averaged(
     for at, tables in sets.items():
         tables += [next(results) for _ in range(len(tables), counts[at])]
     within = np.stack([difference(table, averaged(tables)) for tables in sets.values() for table in tables])
-    scatter = np.sqrt(np.sum(within**2, axis=0) / (len(within) - len(sets)))
+    # less two, so that a square over it is 1 on average
+    scatter = np.sqrt(np.sum(within**2, axis=0) / (len(within) - len(sets) - 2))
     means = {at: averaged(tables) for at, tables in sets.items()}
     middle = means["", 0.0]
     change = {}

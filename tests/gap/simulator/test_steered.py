@@ -159,3 +159,13 @@ def test_what_the_front_wheel_is_off_by_is_found_beside_rear_wheels(tmp_path: Pa
     assert [cause.effect for cause in done.causes] == ["steering_scale"]
     # of what the sensor says; the square of it, 0.0009, is not the same in all forms of an error
     assert done.causes[0].parameters["relative"].value == pytest.approx(-0.03, abs=0.03**2)
+
+
+def test_a_play_at_nominal_hides_no_parameter(tmp_path: Path) -> None:
+    """Beside a play its slope is another to either side: the parameters are tried by themselves, from nominal."""
+    play, hidden = (0.004, 2e-3, 0.05), 0.02
+    with patch.dict(PARAMETERS, play=play), patch.dict(NOMINAL, play=play[0]):
+        done = diagnosed(tmp_path, {"play": hidden}).diagnosis
+    assert [cause.effect for cause in done.causes] == ["simulator:play"]
+    low, high = done.causes[0].parameters["play"].ci95
+    assert abs(done.fix.parameters["play"] - hidden) < SPREAD * (high - low) / (2 * 1.96)
