@@ -131,7 +131,7 @@ def _candidates(
 
 def _corridor_run(driven: Campaign, dimensions: Dimensions) -> PlannedRun:
     usual_C = planned_runs.usual_temperature_C(driven)
-    return PlannedRun("corridor", "out", temperature_C=usual_C, speed_mps=dimensions.usual_mps)
+    return PlannedRun("corridor", "out", temperature_C=usual_C, speed_mps=dimensions.speeds_mps[1])
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:

@@ -106,7 +106,7 @@ def default_candidates(
         )
         for (kind, direction), (payload, x, y), speed in product(routes, payloads, dimensions.speeds_mps)
     ]
-    out = PlannedRun("corridor", "out", temperature_C=usual_C, speed_mps=dimensions.usual_mps, tape=tape)
+    out = PlannedRun("corridor", "out", temperature_C=usual_C, speed_mps=dimensions.speeds_mps[1], tape=tape)
     loaded = replace(out, payload_kg=most_kg, payload_x_m=ahead)
     candidates += [replace(loaded, minutes_under_load=minutes) for minutes in (1.0, 60.0)]
     candidates += [replace(out, stops=4), replace(out, speed_mps=dimensions.speeds_mps[1], read_rolling=True)]

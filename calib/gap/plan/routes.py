@@ -1,7 +1,7 @@
 """Routes of planned runs: their shapes, and how long and how fast beside what was driven."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -40,16 +40,10 @@ class Dimensions:
     """How long and how fast planned runs are; by default those of a transport vehicle in a hall."""
 
     corridor_m: float = DEFAULT_CORRIDOR_M
-    scale: float = 1.0  #: of routes that were not driven, at least
+    scale: float = 1.0  #: of other routes, at least
     reach_m: float = np.inf  #: to which they lead up to their usual size
-    driven: Mapping[str, float] = field(default_factory=dict)  #: scale of those driven, by kind
     least_radius_m: float = 0.0  #: of a turn
     speeds_mps: tuple[float, float] = (0.3, 0.7)  #: slow and fast
-
-    @property
-    def usual_mps(self) -> float:
-        """A speed between slow and fast."""
-        return float(f"{0.5 * sum(self.speeds_mps):.2g}")
 
     def of(self, kind: str, segments: Sequence[Segment]) -> Route:
         """Return the route of a kind in its size."""
@@ -57,48 +51,39 @@ class Dimensions:
         bends = usual.turn_rad != 0.0
         radii_m = np.abs(usual.length_m[bends] / usual.turn_rad[bends])
         led = min(1.0, self.reach_m / _led_m(usual))
-        scale = self.driven.get(kind, max(self.scale, led, self.least_radius_m / float(radii_m.min(initial=np.inf))))
+        scale = max(self.scale, led, self.least_radius_m / float(radii_m.min(initial=np.inf)))
         return Route(kind, scale * usual.length_m, usual.turn_rad)
 
 
 def dimensions_of(driven: Campaign) -> Dimensions:
     """Return what the vehicle of a campaign can drive where it was driven.
 
-    Corridors as long as those driven, else no longer than any run led; routes that were driven in their size, others
-    in proportion to the track or, up to the usual size, to how far any run led; no faster than it was driven.
+    Corridors as long as those driven, else no longer than any run led; other routes in proportion to the track or, up
+    to the usual size, to how far any run led; no faster than it was driven.
     """
     path = predict(observations_of(driven, into_windows=False))
-    kinds, logged = path.s.labels["kind"], path.s.from_log
-    led_m = np.array([np.hypot(*trace[:, :2].T).max() for trace in path.traces()])
-    most_m, ratio = float(led_m[logged].max(initial=0.0)), driven.model.track_m / USUAL_TRACK_M
+    led_m = [np.hypot(*trace[:, :2].T).max() for trace in path.traces()]
+    most_m, ratio = float(np.max(led_m, where=path.s.from_log, initial=0.0)), driven.model.track_m / USUAL_TRACK_M
     scale = 1.0 if 0.5 <= ratio <= 2.0 else ratio
-    known = np.unique(kinds[logged & (led_m > 0.0) & np.isin(kinds, KINDS)]).tolist()
+    distance_m, corridor = np.abs(driven.runs.number("distance_m")), driven.runs.label("kind") == "corridor"
+    known = np.isfinite(distance_m)
+    lengths_m = distance_m[known & corridor] if (known & corridor).any() else distance_m[known]
+    length_m = float(np.median(lengths_m)) if len(lengths_m) else 0.0
+    if not CORRIDOR_RANGE_M[0] <= length_m <= CORRIDOR_RANGE_M[1]:
+        length_m = min(DEFAULT_CORRIDOR_M, max(most_m, DEFAULT_CORRIDOR_M * scale))
     speeds = driven_speed_mps(path.s)
     # slower ones turn on the spot
     speeds = speeds[speeds > 0.25 * np.nanmax(speeds, initial=0.0)]
     slow, fast = np.quantile(speeds, (0.1, 0.9)).tolist() if len(speeds) else (0.3 * scale, 0.7 * scale)
+    least_m = LEAST_RADIUS * driven.vehicle.wheelbase_m * (odometry_source(driven) == "shaft")
     return Dimensions(
-        _driven_corridor_m(driven) or min(DEFAULT_CORRIDOR_M, max(most_m, DEFAULT_CORRIDOR_M * scale)),
-        scale,
-        most_m,
-        {kind: float(np.median(led_m[logged & (kinds == kind)])) / _led_m(route_of(kind)) for kind in known},
-        LEAST_RADIUS * driven.vehicle.wheelbase_m * (odometry_source(driven) == "shaft"),
-        (float(f"{min(slow, SLOWER * fast):.2g}"), float(f"{fast:.2g}")),
+        length_m, scale, most_m, least_m, (float(f"{min(slow, SLOWER * fast):.2g}"), float(f"{fast:.2g}"))
     )
 
 
 def _led_m(route: Route) -> float:
     poses = route.divided(ROUTE_SPACING_M).poses()
     return float(np.hypot(poses.x_m, poses.y_m).max())
-
-
-def _driven_corridor_m(campaign: Campaign) -> float | None:
-    distance, kind = np.abs(campaign.runs.number("distance_m")), campaign.runs.label("kind")
-    named = [kind == "corridor", np.char.startswith(kind, "corridor"), kind != ""]
-    lengths = (distance[each & np.isfinite(distance)] for each in named)
-    length = next((float(np.median(each)) for each in lengths if len(each)), 0.0)
-    low, high = CORRIDOR_RANGE_M
-    return length if low <= length <= high else None
 
 
 def route_of(kind: str, dimensions: Dimensions | None = None) -> Route:
