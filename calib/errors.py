@@ -287,7 +287,6 @@ def _is_input(target: Path, given: Path) -> bool:
 
 
 def _is_data(path: Path, between: list[Path]) -> bool:
-    """Return whether a file inside an input folder belongs to the input; `between`: the folders between them."""
     if any((folder / _FIT).is_file() for folder in between):
         return False  # a result inside the campaign's folder
     return path.suffix.lower() not in _OUTPUT_SUFFIXES or (path.name in _READ and not between)

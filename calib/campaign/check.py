@@ -32,7 +32,6 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
 
 
 def _taken_apart(campaign: Campaign) -> tuple[list[Note], Campaign]:
-    """Return the finding of totals that grow from run to run, and the campaign with what each run counted."""
     counts = both_sides(campaign, "counts_{}")
     step = np.diff(counts, prepend=0.0)
     counted = dict(zip(("counts_left", "counts_right"), np.where(step < 0, counts, step), strict=True))

@@ -205,7 +205,6 @@ def _sha256(path: Path) -> str:
 
 
 def _state(path: Path) -> tuple[int, ...]:
-    """Return inode, size and change times of a file: any writing changes them; empty without it."""
     with suppress(OSError):
         status = path.stat()
         return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns

@@ -96,7 +96,6 @@ def _sessions(session: StrArray, shown: str, border: Border) -> StrArray:
 
 
 def _summaries(labels: Mapping[str, StrArray], columns: Mapping[str, FloatArray], used: BoolArray) -> dict[int, str]:
-    """Return the rows that are by their name, or by their numbers alone, statistics of others."""
     run_id, session = labels["run_id"], labels.get("session", np.full(len(used), ""))
     found = {row: "a summary" for row in np.flatnonzero(used).tolist() if SUMMARY.fullmatch(run_id[row])}
     table = np.stack([columns.get(name, np.full(len(used), np.nan)) for name in NUMERIC_COLUMNS], axis=1)

@@ -204,7 +204,6 @@ def _design(observations: Observations) -> Design:
 
 
 def _world(observations: Observations, design: Design) -> World:
-    """Return the world in which the model is right, with stated loads."""
     world = build_world(design, observations.model)
     left, right = observations.number("load_left_N"), observations.number("load_right_N")
     # stated payloads keep the plant's statics: another payload changes both
@@ -284,7 +283,6 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
 
 
 def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the factor of the way ahead, and the turn to add (Eqs 12 to 14)."""
     read, way = replay.route.steer_rad[step], replay.route.front_m[step]
     wheelbase_m = (world.model.front or FrontModel.of(replay.observations.vehicle)).wheelbase_m
     if replay.observations.by_shaft:

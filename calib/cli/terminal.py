@@ -274,7 +274,6 @@ def _write(stream: Any, text: str) -> None:
 
 
 def _put(stream: Any, text: str, other: Callable[[], str] = str) -> None:
-    """Write and flush; `other` where the encoding lacks a character; see `CLOSED`."""
     try:
         try:
             stream.write(text)

@@ -172,7 +172,6 @@ def from_law(
 
 
 def _max_step_m(law: RadiusLaw, encoder: Encoder) -> float:
-    """Return the longest step between samples, a quarter of the counter's range: no ambiguous wrap."""
     if encoder.wrap_bits is None:
         return MAX_STEP_M
     left, right = law.left.radius_ref_m, law.right.radius_ref_m

@@ -70,7 +70,6 @@ def _between(values: FloatArray, variance: FloatArray, target: float) -> float:
 
 
 def _root(falling: Callable[[float], float], high: float) -> float:
-    """Return a falling function's zero from 0 to `high`; 0 where it is negative there."""
     from scipy.optimize import brentq
 
     if falling(0.0) <= 0.0:
@@ -375,7 +374,6 @@ def _findings(records: Sequence[VehicleResult]) -> list[set[str]]:
 
 
 def _places(records: Sequence[VehicleResult]) -> dict[str, list[float]]:
-    """Return, by effect, the x of places where several vehicles have it; a zone may show in neighbouring cells."""
     causes = [cause for record in records for cause in record.values.get("causes", ()) if "x_m" in cause]
     named = grouped((str(cause["effect"]), (float(cause["x_m"]), float(cause["size_m"]))) for cause in causes)
     places: dict[str, list[float]] = {}

@@ -152,7 +152,6 @@ def _line(side: str, sums: "WheelSums", part: PartSums) -> WheelLine | None:
 
 
 def _drift(sums: "WheelSums", slope: float) -> Drift | None:
-    """Return the session means' drift beside the law; sessions scatter freely."""
     x, y, day = sums.means.T
     if len(day) < 4 or np.ptp(day) <= 0:
         return None

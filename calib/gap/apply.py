@@ -87,7 +87,6 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
 def _slopes_and_sections(
     fitted: Fitted, causes: Sequence[Cause]
 ) -> tuple[dict[str, tuple[float, int]], list[EffectSection]]:
-    """Return slope and its row of the covariance, by side, that the causes add; the other causes written down."""
     named = {cause.effect for cause in causes}
     slopes: dict[str, tuple[float, int]] = {}
     sections: list[EffectSection] = []

@@ -109,7 +109,6 @@ def _judged(
     sought: "_Sought",
     situation: Situation,
 ) -> Diagnosis:
-    """Return the diagnosis of what was driven, without next runs; `given`: before corrections."""
     seed, model_name, candidates, journeys = asked
     settings, rng, declared = SearchSettings(), np.random.default_rng(seed), given.extra.get("effects", ())
     campaign, observations = situation.campaign, situation.observations
@@ -192,8 +191,6 @@ def diagnosed(
 
 @dataclass(frozen=True, slots=True)
 class _Sought:
-    """What the simulator believes, and which effects and blunders are not sought."""
-
     model: OdometryModel | None
     applied: Sequence[EffectSection]
     exclude: tuple[str, ...]

@@ -127,7 +127,6 @@ def _gyro_alone(fitted: Fitted) -> bool:
 
 
 def _whole(model: Model) -> Model:
-    """Return the model of whole runs where many have end poses, else of the longest windows."""
     known = np.isfinite(model.recording.end_pose[:, :2]).all(axis=1)
     if known.sum() >= ENOUGH_RUNS or model.segments.are_runs_of(model.recording):
         return replace(model, segments=end_pose_segments(model.recording))
@@ -286,7 +285,6 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
 
 
 def _ratios(centres: FloatArray, side_m: float, track_m: float) -> tuple[float, float]:
-    """Return E_d and E_b of mean end position errors, rows counter-clockwise and clockwise, axes averaged."""
     (x_ccw, y_ccw), (x_cw, y_cw) = centres
     alpha = 0.5 * ((x_cw + x_ccw) + (y_cw - y_ccw)) / (4.0 * side_m)
     beta = 0.5 * ((x_ccw - x_cw) - (y_ccw + y_cw)) / (4.0 * side_m)

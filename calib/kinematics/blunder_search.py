@@ -337,7 +337,6 @@ def _stretched(recording: Recording, share: float, axis: int) -> Recording:
 
 
 def _wound_since_start(recording: Recording, share: float) -> Recording:
-    """Return headings with a share more turn since each run's start, as a gyro's."""
     begin_rad = np.repeat(recording.reference[2, recording.offsets[:-1]], np.diff(recording.offsets))
     wound = _stretched(recording, share, 2)
     return wound.with_reference(wound.reference - share * begin_rad * np.array([[0.0], [0.0], [1.0]]))

@@ -75,7 +75,6 @@ def estimate_geometry(
 
 
 def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geometry:
-    """Return the geometry by windows, or by end poses where these do not fit."""
     if not recording.continuous:
         return estimated("end_poses")
     if np.isfinite(recording.end_pose[:, :2]).all(axis=1).sum() < ENOUGH_RUNS:

@@ -168,7 +168,6 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
 
 
 def _of_quaternion(z: FloatArray, told_rad: FloatArray) -> FloatArray:
-    """Return the heading of this z nearest to what the wheels say."""
     half = np.arcsin(np.clip(z, -1.0, 1.0))
     headings = np.stack([2.0 * half, 2.0 * (np.pi - half)])
     headings += 4.0 * np.pi * np.rint((told_rad - headings) / (4.0 * np.pi))

@@ -309,7 +309,6 @@ def _kernel(model: Model, prediction: Prediction, values: FloatArray) -> FloatAr
 
 
 def _whiteners(kernel: FloatArray, scales: FloatArray, seen: BoolArray) -> FloatArray:
-    """Return triangles that whiten covariances; 1 on the diagonal where nothing was measured."""
     total = (scales @ kernel.reshape(len(kernel), -1)).reshape(6, -1)
     total[_ROWS == _COLUMNS] += np.where(seen.T, 1e-18, 1.0)
     xx, yx, yy, tx, ty, tt = total

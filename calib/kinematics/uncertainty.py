@@ -199,7 +199,6 @@ def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatA
 
 
 def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return Jacobian of unit information, residuals, and matrix and scale back to parameters."""
     jacobian, residuals = whitened(solution, free)
     information = flattened(jacobian).T @ flattened(jacobian) + solution.pull
     scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))

@@ -141,7 +141,6 @@ def is_installed() -> bool:
 
 @cache
 def _machine_code() -> Callable[..., None]:
-    """Return `_loop` in machine code, kept on disk where possible."""
     import numba
 
     try:

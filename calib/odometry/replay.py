@@ -191,7 +191,6 @@ def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int
 
 
 def _with_end_poses(campaign: Campaign) -> Campaign:
-    """Return the campaign with end poses by its logs' references where a row has none."""
     columns, offsets, names = campaign.logs.columns, campaign.logs.offsets, REFERENCE_POSE
     ends = np.stack([campaign.runs.number(name) for name in names])
     if poses_are_in_a_map(campaign.included()):

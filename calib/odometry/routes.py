@@ -128,7 +128,6 @@ def find_route(name: str) -> Route:
 
 
 def _driven_route(path: Path) -> Route:
-    """Return the route of a recorded trajectory: an arc from each pose to the next, of their distance and turn."""
     _, poses = read_tum(path)
     if len(poses) < 2:
         raise BadFileError(path, found="one pose", expected="two or more", remedy="record a longer trajectory")

@@ -25,7 +25,6 @@ _QUARTER: Final = np.pi / 2
 
 
 def _segments(kind: str, *, length_m: float, side_m: float, radius_m: float) -> list[Segment]:
-    """Return a route as straights and arcs, left turns positive; ``_b`` is a second lane."""
     big, bend = 1.6 * radius_m, 3.0
     weave = [(0.6 * bend, 1 / bend), (1.2 * bend, -1 / bend), (0.6 * bend, 1 / bend)]
     routes = {

@@ -143,8 +143,6 @@ def _lever(world: World, size: FloatArray, knobs: Knobs) -> None:
 
 
 def _lost(share: Callable[[FloatArray], FloatArray | float]) -> Act:
-    """Return the act that loses counts, a share by the speed."""
-
     @while_driving
     def act(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
         now.added[4 if knobs["right"] else 3] += size * share(now.v_mps)

@@ -130,7 +130,6 @@ def strength(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -
 
 
 def _left_of(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> FloatArray:
-    """Return a change as `strength` takes it, whitened and projected, (6 n_runs,)."""
     present = np.isfinite(change)
     both = present[:, :, None] & present[:, None, :]
     root = np.linalg.cholesky(np.where(both, cov, np.where(np.eye(6, dtype=bool), 1.0, 0.0)))

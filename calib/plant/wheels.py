@@ -29,7 +29,6 @@ def _load_linear(world: World, size: FloatArray, knobs: Knobs) -> None:
 
 
 def _power(load_N: FloatArray, exponent: float) -> FloatArray:
-    """Return F^p, 0 at 300 N and 800 N at 1100 N, as in the linear law."""
     low, high = REFERENCE_LOAD_N**exponent, 1100.0**exponent
     return np.asarray(800.0 * (np.maximum(load_N, 1.0) ** exponent - low) / (high - low))
 

@@ -248,7 +248,6 @@ def p_of_t(statistic: float, dof: float) -> float:
 
 
 def _on_one_load(fit: WheelFit) -> str:
-    """Return what a single load allows."""
     words = f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load only"
     return f"{words}, and no slope; drive two further loads at least."
 

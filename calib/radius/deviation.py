@@ -105,7 +105,6 @@ def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatA
 
 
 def _largest(error: Callable[[FloatArray], FloatArray], most: ArrayLike, bracket: FloatArray) -> FloatArray:
-    """Return the largest amplitude up to `bracket` whose growing error is `most` at most."""
     low, high = np.zeros_like(bracket), bracket
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)

@@ -352,7 +352,6 @@ def equivalent_dof(critical: ArrayLike) -> FloatArray:
 
 
 def _nodes(dof: float) -> FloatArray:
-    """Return nodes of equal probability of chi-squared over its `dof`, with mean 1."""
     n = NODES_MANY_DOF if dof > MANY_DOF else NODES_FEW_DOF
     quantiles = np.asarray(chdtri(dof, (np.arange(n) + 0.5) / n)) / dof
     return np.asarray(quantiles / quantiles.mean())

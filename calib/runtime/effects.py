@@ -107,8 +107,6 @@ class _Step:
 
 @dataclass(frozen=True, slots=True)
 class _Effect:
-    """A section of the file, and the vehicle that it acts on."""
-
     name: str
     form: str
     settings: dict[str, float]

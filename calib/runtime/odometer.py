@@ -360,7 +360,6 @@ class Odometer:
 
 
 def _count(value: float) -> float:
-    """Return a reading as a Python int: differences neither overflow nor round."""
     whole = int(value)
     return whole if whole == value else float(value)
 

@@ -361,6 +361,5 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
 
 
 def _length_and_width(path: ComplexArray) -> FloatArray:
-    """Return the spread of points along their main direction and across it."""
     points = np.column_stack([path.real, path.imag])
     return np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

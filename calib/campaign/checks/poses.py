@@ -229,7 +229,6 @@ def _straight(campaign: Campaign) -> BoolArray:
 
 
 def _slope(counted: FloatArray, measured: FloatArray) -> tuple[float, float]:
-    """Return a line's slope through the origin and its standard error, outliers left aside."""
     kept = np.ones(len(counted), dtype=bool)
     for _ in range(2):
         square = max(float(counted[kept] @ counted[kept]), 1e-300)

@@ -241,7 +241,6 @@ def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: _
 
 
 def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
-    """Return the runs of several sheets, one after another; repeated names get the sheet's before them."""
     given, tables = work.mapping.table, []
     for sheet in given.sheets:
         shown = f"{path}, sheet {sheet!r}"

@@ -58,7 +58,6 @@ def _inside(sources: Sequence[Path]) -> str:
 
 
 def _files_inside(folder: Path) -> list[Path]:
-    """Return a folder's readable files, and its folders' where it has one at most; campaigns are omitted."""
     inside = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
     known, is_bag = readers.READERS, readers.is_bag_folder
     files = [path for path in inside if is_bag(path) or (path.is_file() and path.suffix.lower() in known)]

@@ -129,7 +129,6 @@ def describe(sources: Sequence[Path]) -> Description:
 
 
 def _may_be_joined(file: FileContents, table: FileContents) -> bool:
-    """Return whether a file has a row a run beside the run table, as the counts of one wheel."""
     of_runs = run_column(table) is not None and run_column(file) is not None and file.n_rows >= table.n_rows
     return of_runs and not _has_clock(file) and not table.name.endswith(WORKBOOK)
 

@@ -44,7 +44,6 @@ _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"}
 
 @cache
 def _names() -> dict[str, dict[str, str]]:
-    """Return ``names.toml``: columns of run table and log, and directions -> patterns of their names."""
     document = tomllib.loads(resources.files(__package__).joinpath("names.toml").read_text(encoding="utf-8"))
     parts = document.pop("parts")
     columns = {

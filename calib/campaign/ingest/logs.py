@@ -195,7 +195,6 @@ def _unwrapped(
 def _with_heading(
     columns: MappingType[str, FloatArray], lines: Lines, shown: str, border: Border
 ) -> dict[str, FloatArray]:
-    """Return columns without lost frames, headings unwrapped."""
     out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
     poses = [column for name in REFERENCE_POSE if name in lines for column in lines[name].sources]
     omit_lost_frames(out, poses, shown, border)

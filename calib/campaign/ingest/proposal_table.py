@@ -114,7 +114,6 @@ def _targets(table: FileContents) -> dict[str, str | None]:
 
 
 def _place(column: ColumnContents) -> str | None:
-    """Return the coordinate of the payload that a bare x or y is, where it lies on the vehicle."""
     stem, unit = stem_and_unit(column.name)
     far_m = max(abs(column.low or 0.0), abs(column.high or 0.0)) * SUFFIXES[unit or "m"][1]
     return f"payload_{stem}_m" if stem in {"x", "y"} and far_m < _LONGEST_M else None

@@ -222,7 +222,6 @@ def _quiet() -> Iterator[None]:
 
 
 def _moments_ns(stamps: Any) -> IntArray:
-    """Return rounded nanoseconds since 1970 of stamps in seconds since 1904 and 2^-64 s."""
     seconds = np.asarray(stamps.seconds, dtype=np.int64) - _FROM_1904_S
     fractions = np.rint(floats(stamps.second_fractions) * (NS_PER_S / 2.0**64)).astype(np.int64)
     return np.asarray(seconds * NS_PER_S + fractions, dtype=np.int64)

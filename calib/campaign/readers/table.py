@@ -261,7 +261,6 @@ def _without_marks(text: str, marks: set[str]) -> str | None:
 
 
 def _thousands(cells: npt.NDArray[Any], decimal_comma: bool | None) -> set[str]:
-    """Return the marks between thousands in a column; ``?``: possible ones; ``x``: base 16."""
     texts = [cell.strip() for cell in cells if isinstance(cell, str)]
     parts = [found for text in texts if (found := _GROUPED.fullmatch(text)) and not _AMBIGUOUS.fullmatch(text)]
     marks = {found[1] for found in parts} | ({"x"} if all(map(_HEX.fullmatch, texts)) else set())

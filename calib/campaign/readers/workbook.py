@@ -231,7 +231,6 @@ def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
 
 
 def _extent(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[int, int, int]:
-    """Return a sheet's filled cells, the empty places and rows before the last, and its row."""
     from openpyxl.utils import column_index_from_string
 
     cells = rows = places = last_row = waiting = 0

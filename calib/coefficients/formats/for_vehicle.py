@@ -361,7 +361,6 @@ def mecanum_diagonals(file: CoefficientFile) -> Diagonals:
 def _diagonals(
     file: CoefficientFile, rates: FloatArray, covariance: FloatArray, reading: tuple[float, float] = (0.0, 0.0)
 ) -> Diagonals:
-    """Return the diagonals from the change of path and heading by each parameter; see the head of this file."""
     of_path, of_heading = reading
     stretch, bend, turn = (float(variance) for variance in np.einsum("ij,jk,ik->i", rates, covariance, rates))
     along, heading = file.noise.along.value**2, file.noise.heading.value**2

@@ -87,7 +87,6 @@ def _of_urdf(model: ModelFile, name: str, option: str) -> Wheel:
 
 
 def _origin(model: ModelFile, joint: Node, attribute: str, name: str) -> tuple[float, ...]:
-    """Return where a joint sits (``xyz``), or how it is turned (``rpy``); zero where it does not say."""
     origin = joint.child("origin")
     text = "0 0 0" if origin is None else origin.attributes.get(attribute, "0 0 0")
     return numbers(text, f"{model.path}, origin of {name!r}", 3)
@@ -99,7 +98,6 @@ def _link(joint: Node, tag: str) -> str:
 
 
 def _tilted(model: ModelFile, joints: list[Node], link: str) -> str:
-    """Return the name of a joint above a link whose frame is rolled or pitched, else nothing."""
     for _ in range(len(joints) + 1):
         above = next((joint for joint in joints if _link(joint, "child") == link), None)
         if above is None:
@@ -169,7 +167,6 @@ def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
 
 
 def _pose(link: Node) -> tuple[Node | None, str]:
-    """Return what places a wheel's link: its joint where the link sits on it; else why not."""
     siblings = [] if link.parent is None else link.parent.children
     pose = link.child("pose")
     if pose is None:

@@ -109,7 +109,6 @@ def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[s
 def _shares(
     evidence: Evidence, every: Sequence[_Sized], variance_factor: float, coverage: float
 ) -> list[tuple[float, float]]:
-    """Return each cause's share of the gap above the noise level, and half its 95 % interval, to first order."""
     explained, explained_sd = evidence.explained_share
     squares, sd = np.array([sized.squares for sized in every]).reshape(-1, 2).T
     sd *= variance_factor
@@ -182,7 +181,6 @@ def _cause(
 
 
 def _means(form: Form, theta: FloatArray, covariance: FloatArray, coverage: float) -> dict[str, Quantity]:
-    """Return the mean of both wheels' parameters where runs tell only of it that it is not zero, by name."""
     means = {}
     for (a, left), (b, right) in combinations(enumerate(form.parameters), 2):
         pair = covariance[np.ix_([a, b], [a, b])]

@@ -171,7 +171,6 @@ def _undetected(evidence: Evidence) -> FloatArray:
 
 
 def _as_likely(evidence: Evidence, effect: str) -> list[str]:
-    """Return effects, or calibration parameters, nearly as probable in place of one of the best hypothesis."""
     best, search = evidence.search.effects, evidence.search
     probability = dict(zip(search.models, search.probabilities, strict=True))
     others = {name for name in best if name != effect}

@@ -106,7 +106,6 @@ def decide(evidence: Evidence) -> Diagnosis:
 
 
 def _as_shown(evidence: Evidence, kind: VerdictKind, gap_probability: float) -> tuple[VerdictKind, float, NoiseSummary]:
-    """Return verdict, probability of a gap and noise level by what runs that agree, or none of which do, show."""
     noise_level = NoiseSummary.about(evidence.noise)
     if kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN} and (words := scatters_alone(evidence)):
         return VerdictKind.UNDECIDED, gap_probability, replace(noise_level, supported=False, support=words)

@@ -81,7 +81,6 @@ class Evidence:
 
     @property
     def _recalibrated(self) -> tuple[str, ...]:
-        """The most probable set of them, not empty where no effect is named."""
         likeliest = self.recalibration.likeliest
         return likeliest if likeliest or self.search.effects else self.recalibration.needed
 

@@ -203,7 +203,6 @@ def improvement_of(left_out: HeldOutFit, *, sessions: bool, stated: FloatArray) 
 
 
 def _improvement(left_out: HeldOutFit, before: FloatArray, after: FloatArray, floor_factor: float) -> Improvement:
-    """Return the paired improvement: shared noise cancels but for that along the correction."""
     from scipy.special import stdtrit
 
     squares = [float(left_out.squares(values).sum()) for values in (before, after)]

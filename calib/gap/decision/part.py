@@ -84,7 +84,6 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
 
 
 def _odd(evidence: Evidence, kept: Sequence[Cause], beside: Collection[str]) -> list[str]:
-    """Return what cannot be: lengths without an instrument, odd drifts beside session steps."""
     drifts = {evidence.effects[name].family for name in beside}
     known = [cause for cause in kept if cause.effect in evidence.effects and cause.remark]
     odd = [f"{cause.effect}: {cause.remark}" for cause in known if evidence.effects[cause.effect].family in drifts]
@@ -146,7 +145,6 @@ def _is_whole(evidence: Evidence, names: Collection[str]) -> bool:
 
 
 def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
-    """Return the calibration's named directions and those of another zero of named effects, (k, 4)."""
     moved = _moved_by(evidence, names)
     return DIRECTIONS[[name in moved for name in NAMES]]
 

@@ -165,7 +165,6 @@ def _capital(text: str) -> str:
 
 
 def _unidentified(diagnosis: Diagnosis) -> int:
-    """Return how many effects explain all that is named equally well, where they are too many to list; else 0."""
     named = {cause.effect for cause in diagnosis.causes}
     sizes = [len(group.effects) for group in diagnosis.groups if named.issubset(group.effects)]
     return max((size for size in sizes if size > LARGEST_GROUP), default=0)
@@ -206,7 +205,6 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
 
 
 def _choices(effects: Sequence[str], diagnosis: Diagnosis) -> list[str]:
-    """Return a group's causes, acting together, and each effect that does the same alone."""
     causes = {cause.effect for cause in diagnosis.causes}
     together = joined((_named(effect, diagnosis) for effect in effects if effect in causes), "with")
     return [*filter(None, [together]), *_others(effects, diagnosis)]

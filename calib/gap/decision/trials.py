@@ -149,7 +149,6 @@ def _binned(values: FloatArray, width: float, words: str) -> StrArray:
 
 
 def _joined(values: StrArray) -> StrArray:
-    """Join values into `MOST_VALUES` groups where there are more, neighbours in time together."""
     names, first, index = np.unique(values, return_index=True, return_inverse=True)
     if len(names) <= MOST_VALUES:
         return values

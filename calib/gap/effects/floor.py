@@ -156,7 +156,6 @@ class FloorZone(Effect):
 def _cells(
     observations: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray
 ) -> list[tuple[int, float, float, bool]]:
-    """Return (lane, x, y, driven both ways) of the strips and cells worth asking about, by place."""
     flat, one_lane = np.zeros_like(y), np.full_like(lane, _STRIP_LANE)
     aside = bool((lane != lane[0]).any()) or bool((np.abs(y) > 0.5 * CELL_M).any())
     # where all runs keep to one line, its cells are strips

@@ -289,7 +289,6 @@ def beyond_law(path: FilePath | str, observations: Observations) -> tuple[str, .
 
 
 def _delay_of(file: "CoefficientFile") -> "tuple[EffectSection, ...]":
-    """Return a delay of the reference that a geometry determined, else nothing."""
     from calib.coefficients.sections import EffectSection, Quantity
 
     together = file.joint_geometry

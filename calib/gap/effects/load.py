@@ -15,12 +15,10 @@ from calib.vehicle import wheel_loads_N
 
 
 def _sides(observations: Observations, name: str) -> tuple[str, ...]:
-    """Return the names of a parameter of each wheel, or of both that one drive shaft counts: their mean."""
     return (f"{name}_mean",) if observations.by_shaft else (f"{name}_left", f"{name}_right")
 
 
 def _of_wheels(observations: Observations, left: FloatArray, right: FloatArray) -> Perturbation:
-    """Return relative changes of both radii; the mean where one drive shaft counts both."""
     both = 0.5 * (left + right)
     return Perturbation(left=both, right=both) if observations.by_shaft else Perturbation(left=left, right=right)
 

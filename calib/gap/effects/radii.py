@@ -27,8 +27,6 @@ from calib.vehicle import SKID_TRACK
 
 
 class _Calibration(Effect):
-    """A relative change of radii or track, the same in all observations."""
-
     family = Family.CALIBRATION
     parameter: ClassVar[Parameter]
     acts_on: ClassVar[str]

@@ -130,8 +130,6 @@ def calibration_basis(along: FloatArray, n_others: int) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Misfit:
-    """Squares of parameters over their prior standard deviation or typical size."""
-
     nominal: Path
     noise: Noise
     forms: Sequence[Form]

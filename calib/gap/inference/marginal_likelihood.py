@@ -292,7 +292,6 @@ def _eliminated(matrix: FloatArray, sides: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _inner(gram: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return I + S G on a unit diagonal, and the scaling (..., k)."""
     size = np.sqrt(root**2 * np.diagonal(gram, axis1=-2, axis2=-1) + 1.0)
     ratio = root / size
     return _with_diagonal(gram * (ratio[..., :, None] * ratio[..., None, :]), 1.0 + 1e-11), size

@@ -316,7 +316,6 @@ def _converge(
     largest_scale: float = np.inf,
     greedy: bool = True,
 ) -> _Settled:
-    """Search (where `greedy`), fit and linearise until converged."""
     for number in range(_MAX_PASSES):
         if passed is not None:
             passed()
@@ -337,7 +336,6 @@ def _converge(
 
 
 def _step(before: Fitted, after: Fitted) -> float:
-    """Return the largest change in standard uncertainties; infinite where the forms differ."""
     if [id(form) for form in before.forms] != [id(form) for form in after.forms]:
         return np.inf
     new, old = (np.concatenate([fitted.calibration, *fitted.theta]) for fitted in (after, before))

@@ -67,7 +67,6 @@ class _NoiseSupport:
 
 
 def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
-    """Yield the ways to find a noise level, the best first, each with the degrees of freedom that suffice."""
     observations = path.s
     enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
     alike = Basis.WINDOWS if observations.windowed else Basis.REPEATS
@@ -208,7 +207,6 @@ def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, exces
 
 
 def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: "WindowGrowth | None") -> tuple[bool, str]:
-    """Return whether windows' noise grows with their length as noise does."""
     if growth is None:
         return False, f"nothing: {counted} scatter more than stated, and there are too few to see how that grows"
     # the place strays by length^(3/2): the heading alone tells

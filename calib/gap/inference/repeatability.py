@@ -373,7 +373,6 @@ def _of_their_route(path: Path, grouped: Replicates) -> FloatArray:
 
 
 def _rank(design: FloatArray, grouped: Replicates, usable: BoolArray) -> int:
-    """Return the degrees of freedom of groups' means and calibrations."""
     total = 0
     ends = np.append(grouped.first[1:], len(grouped.units))
     for first, end in zip(grouped.first, ends, strict=True):

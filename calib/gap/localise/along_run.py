@@ -117,7 +117,6 @@ def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
 def _trace(
     log: Mapping[str, FloatArray], left_m: FloatArray, right_m: FloatArray, track_m: float, label: tuple[str, str, bool]
 ) -> Trace:
-    """Return the trace of a log; `label`: see `Trace`."""
     step = 0.5 * (np.diff(left_m) + np.diff(right_m))
     turn = (np.diff(right_m) - np.diff(left_m)) / track_m
     heading = _summed(turn)

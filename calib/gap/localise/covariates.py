@@ -127,8 +127,6 @@ def interval(shares: FloatArray) -> tuple[float, float] | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Dependence:
-    """One channel's gap over its noise level, y, against one covariate."""
-
     on: BoolArray
     y: FloatArray
     x: FloatArray | None

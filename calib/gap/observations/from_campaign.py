@@ -88,7 +88,6 @@ def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
 
 
 def _between(unit: Observation, reference: ReferencePoses, first: int, last: int, settings: Reference) -> Observation:
-    """Return the motion between two poses of the reference, both uncertain."""
     (start, start_sd, start_error), (end, end_sd, end_error) = reference.pose(first), reference.pose(last)
     measured = unit.measured.copy()
     measured[1:] = observation.relative_pose(start, end)
@@ -283,7 +282,6 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
 
 
 def _with_end(log: dict[str, FloatArray], end: FloatArray) -> dict[str, FloatArray]:
-    """Return a log that has a start pose alone with the run table's end pose (3,) at its end."""
     if not set(REFERENCE_POSE) <= log.keys():
         return log
     poses = np.stack([log[name] for name in REFERENCE_POSE])

@@ -148,7 +148,6 @@ def _laden(runs: Sequence[PlannedRun]) -> list[int]:
 
 
 def _of_one_way(driven: Campaign, runs: Sequence[PlannedRun]) -> list[int]:
-    """Return those of the largest payload, out and back, where loads went with the direction."""
     if not any("load and direction" in note.where for note in columns_as_one(driven)):
         return []
     laden = _laden(runs)

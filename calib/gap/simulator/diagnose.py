@@ -236,7 +236,6 @@ def _candidates(
 
 
 def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
-    """Return how far forms move the readings at typical size, in standard deviations."""
     return {form.label: float(np.linalg.norm(_scaled(nominal, [form]))) for form in effect.forms(nominal.s)}
 
 

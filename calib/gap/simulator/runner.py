@@ -332,7 +332,6 @@ def _averaged(
 
 
 def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
-    """Return whether the simulator repeats itself: each number recurs exactly with some parameter off."""
     whole = np.stack(tables)
     for written, limit in zip(np.moveaxis(whole, 2, 0), NOISE_SHARE * sigma, strict=True):
         if not np.isnan(written).all():

@@ -251,8 +251,6 @@ def is_beyond(form: FloatArray) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _KindNoise:
-    """Alphas for runs of one kind, and their ratios by the form, (3,)."""
-
     kind: str
     n_runs: int
     alphas: dict[str, float]

@@ -24,19 +24,19 @@ def small(driven: Campaign, size: float) -> Campaign:
 
 
 def test_planned_runs_are_as_long_and_as_fast_as_the_vehicle_was_driven() -> None:
-    """Routes driven in their size and speed; a vehicle a tenth as large gets all in proportion, so that it has room."""
+    """A vehicle a tenth as large gets all in proportion, so that it has room."""
     nominal = base()
     kinds = [PlannedRun(kind, "out", speed_mps=v) for v in (0.2, 0.4) for kind in ("square_cw", "corridor")]
     driven = called(drive(nominal, kinds * 2, Measured(), Dimensions(15.0, scale=0.5, reach_m=0.0)))
     whole, tenth = dimensions_of(driven), dimensions_of(small(driven, 0.1))
     # the ramps slow the mean speed by less than a tenth
     assert whole.corridor_m == pytest.approx(15.0) and whole.speeds_mps == pytest.approx((0.2, 0.4), rel=0.1)
-    assert whole.scale == 1.0 and whole.driven == {"square_cw": pytest.approx(0.5, rel=1e-2)}
+    assert whole.scale == 1.0
     assert tenth.corridor_m == pytest.approx(1.5) and tenth.speeds_mps == pytest.approx((0.02, 0.04), rel=0.1)
-    assert tenth.driven["square_cw"] == pytest.approx(0.05, rel=1e-2)
-    # what was not driven leads no further than a run did
-    reach = np.hypot(*route_of("route_left", tenth).divided(0.01).poses().stacked()[:, :2].T).max()
-    assert reach == pytest.approx(1.5, rel=1e-2)
+    # no route that is proposed leads further than a run did
+    for kind in {run.kind for run in default_candidates(driven)}:
+        reach_m = np.hypot(*route_of(kind, tenth).divided(0.01).poses().stacked()[:, :2].T).max()
+        assert reach_m <= 1.5 * 1.01
     offered = default_candidates(driven, whole)
     assert max(run.speed_mps for run in offered) == whole.speeds_mps[1]
 
