@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import chain, islice
 from typing import Final
 
 import numpy as np
@@ -176,6 +177,7 @@ def judged(
     by_zero = _by_zero(fitted, logged)
     held_out = np.where(seen, _held_out(fitted, whole, after), 0.0)
     way_m, rotation_rad = travelled(whole, fitted.solution.values)
+    by_motion = replicates(whole, way_m)
     alike = replicates(whole, way_m, LOADS_VARY * max(campaign.model.reference_load_N, 1.0))
     session = whole.recording.session
     in_session = np.unique(session, return_inverse=True)[1][whole.segments.run] * len(alike) + alike
@@ -183,11 +185,13 @@ def judged(
 
     def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
         at, left = used & seen[:, columns].any(axis=1), within[columns.start // 2]
-        scatters = (_scatter(after[:, columns], group, at) for group in (in_session, alike))
-        scatter = next((size for size, dof in scatters if dof >= REPLICATE_DOF and size), 0.0)
+        scatters = (_scatter(after[:, columns], group, at) for group in (in_session, alike, by_motion))
+        *apart, over_all = (size if dof >= REPLICATE_DOF else 0.0 for size, dof in scatters)
+        # with what speed and load do it is no less than noise
+        scatter = min(next(filter(None, apart), usual), over_all or np.inf)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
         # scatter over sessions that differ is no noise
-        noise = min(scatter or usual, left)
+        noise = min(scatter, left)
         more = rms(travelled[at, None]), usual, left, rms(by_zero[at, columns])
         return Residuals(sizes[0], sizes[1], sizes[2], noise, *more)
 
@@ -207,8 +211,9 @@ def judged(
     extra = (*impossible, *_further(fitted, whole, outliers, large, position, heading))
     if not (named or extra or reasons or more):
         runs = whole.recording.run_id[whole.segments.run[used]]
-        scatter_m, dof = _scatter(after[:, :2], alike, used)
-        extra = (*_harmed(runs, before[used], after[used], way_m[used], scatter_m, dof),)
+        scatters = (_scatter(after[:, :2], group, used) for group in (alike, by_motion))
+        harmed = (_harmed(runs, before[used], after[used], way_m[used], *scatter) for scatter in scatters)
+        extra = tuple(islice(chain(*harmed), 1))
     verdicts = (level, level_of_heading, WRONG if named or impossible else DOUBTFUL if extra else CALIBRATED)
     why = (*(fault.text for fault in named), *extra, *reasons, *more)
     return Judgement(max(verdicts, key=list(GeometryVerdict).index), position, heading, why, named)
@@ -223,7 +228,7 @@ def _harmed(
     near, left = (np.hypot(*part[:, :2].T) for part in (before, after))
     worse = np.where(left > SMALL_SHARE * way_m, left**2 - near**2, 0.0)
     worst = int(np.argmax(worse))
-    if dof and worse[worst] > scatter_m**2 * fdtri(2.0, 2.0 * dof, 1.0 - OUTLIER_CHANCE / len(worse)):
+    if dof and worse[worst] > scatter_m**2 * fdtri(2.0, 2.0 * dof, 1.0 - 0.5 * OUTLIER_CHANCE / len(worse)):
         yield (
             f"position: run {run_id[worst]} ends {1e3 * left[worst]:.3g} mm off with the result and "
             f"{1e3 * near[worst]:.2g} mm without it: 'calib diagnose' looks for a cause that acts elsewhere alone"

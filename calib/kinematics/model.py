@@ -294,8 +294,11 @@ def _parts(place: ComplexArray, turn: FloatArray) -> FloatArray:
     return np.stack([place.real, place.imag, turn], axis=1)
 
 
-def replicates(whole: Model, way_m: FloatArray, load_width_N: float) -> IntArray:
-    """Return the group of replicates of each segment, shape (n,): alike in motion by the wheels, speed and load."""
+def replicates(whole: Model, way_m: FloatArray, load_width_N: float | None = None) -> IntArray:
+    """Return the group of replicates of each segment, shape (n,): alike in motion by the wheels.
+
+    With `load_width_N` in speed and, to so much, in load, too.
+    """
     told = whole.segments.measured - whole.predict(nominal_values(whole.drive)).residuals
     steps, lapse_s = whole.recording.steps, np.maximum(np.diff(whole.recording.t_s, prepend=0.0), 1e-3)
     rolled = np.abs(steps.turned_rad).mean(axis=0)
@@ -309,8 +312,9 @@ def replicates(whole: Model, way_m: FloatArray, load_width_N: float) -> IntArray
         near = np.abs(way_m - way_m[at]) < REPLICATE_SHARE * way_m[at]
         near &= np.hypot(*(told[:, :2] - told[at, :2]).T) < REPLICATE_SHARE * way_m[at]
         near &= np.abs(told[:, 2] - told[at, 2]) < REPLICATE_TURN_RAD
-        near &= np.abs(speed - speed[at]) < REPLICATE_SPEED * speed[at]
-        near &= (np.abs(load_N - load_N[:, [at]]) < load_width_N).all(axis=0)
+        if load_width_N is not None:
+            near &= np.abs(speed - speed[at]) < REPLICATE_SPEED * speed[at]
+            near &= (np.abs(load_N - load_N[:, [at]]) < load_width_N).all(axis=0)
         group[near & (group < 0)] = at
         group[at] = at
     return group
