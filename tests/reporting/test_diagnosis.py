@@ -98,7 +98,7 @@ def test_a_title_and_its_sentence_say_a_thing_once() -> None:
     sentence = "These runs cannot show whether there is a gap: their noise level rests on nothing."
     notice = verdict_notice(Diagnosis(VerdictKind.UNDECIDED, sentence))
     assert notice.title == "These runs cannot show whether there is a gap (undecided)"
-    assert notice.text == "Their noise level rests on nothing."
+    assert notice.text == "their noise level rests on nothing."
     assert verdict_notice(Diagnosis(VerdictKind.EXPLAINED, "The gap is small.")).text == "The gap is small."
 
 

@@ -42,7 +42,7 @@ def verdict_notice(verdict: Diagnosis) -> Notice:
     level, title = TITLES[verdict.kind]
     # a title says its sentence's beginning already
     text = prose(verdict.sentence.removeprefix(title).lstrip(": "))
-    return Notice(level, with_kind(title, verdict.kind), text[:1].upper() + text[1:])
+    return Notice(level, with_kind(title, verdict.kind), text)
 
 
 def with_kind(title: str, kind: VerdictKind, *more: str) -> str:
