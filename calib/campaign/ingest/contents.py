@@ -21,6 +21,8 @@ from calib.campaign.settings import bracketed
 from calib.errors import BadFileError, BadInputError
 from calib.types import IntArray
 
+#: a table of the only format with sheets
+WORKBOOK: Final = ".xlsx"
 #: of a column
 _LISTED_TEXTS: Final = 6
 #: of so few rows a column of whole numbers is no counter

@@ -8,11 +8,18 @@ from importlib import resources
 from pathlib import Path
 from typing import Final
 
-from calib.campaign.ingest.contents import FileContents, described, file_contents, listed_files, together, wrapped
+from calib.campaign.ingest.contents import (
+    WORKBOOK,
+    FileContents,
+    described,
+    file_contents,
+    listed_files,
+    together,
+    wrapped,
+)
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
 from calib.campaign.ingest.proposal_table import file_lines, run_column, table_lines
-from calib.campaign.ingest.runs import WORKBOOK
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.settings import recognise
 from calib.campaign.settings_file import FORMAT, STATED, to_toml, toml_value

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from calib.campaign.ingest.contents import WORKBOOK
 from calib.campaign.ingest.mapping import (
     TABLE_COLUMNS,
     LogSection,
@@ -33,8 +34,6 @@ from calib.io import sha256_file
 
 #: in a message
 _LISTED: Final = 8
-#: a table of the only format with sheets
-WORKBOOK: Final = ".xlsx"
 
 
 def without_unit(name: str) -> str:
