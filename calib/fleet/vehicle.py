@@ -146,8 +146,9 @@ def _line(side: str, sums: "WheelSums", part: PartSums) -> WheelLine | None:
     along = (of_radius, _least_squares(n, x, sums.whole[6], xx, sums.whole[7]))
     rows = [gradient(one, side, part.reference_load_N, slope, *along) for one in part.sources]
     dof = np.array([one.dof for one in part.sources])
-    estimate = replace(estimate, coefficients=np.array([radius, slope]),
-                       systematic=np.array(rows).reshape(-1, 2), systematic_dof=dof)  # fmt: skip
+    estimate = replace(
+        estimate, coefficients=np.array([radius, slope]), systematic=np.array(rows).reshape(-1, 2), systematic_dof=dof
+    )
     return WheelLine.of(estimate, rho, sums)
 
 
@@ -289,8 +290,10 @@ def _blocks_of(estimate: LineEstimate, sums: WheelSums) -> _Blocks | None:
         n, x, y, xx, xy, yy = sums.table[:, :6].sum(axis=0, keepdims=True).T
         pairs, xx1, xy1, yy1, x_both, y_both = sums.whole[:6, None]
     x_mean, y_mean = x / n, y / n
-    info, cross, square = ((own - n * one * other).sum() for own, one, other in
-                           ((xx, x_mean, x_mean), (xy, x_mean, y_mean), (yy, y_mean, y_mean)))  # fmt: skip
+    info, cross, square = (
+        (own - n * one * other).sum()
+        for own, one, other in ((xx, x_mean, x_mean), (xy, x_mean, y_mean), (yy, y_mean, y_mean))
+    )
     near_xx = float((xx1 - x_mean * x_both + pairs * x_mean**2).sum())
     near_xy = float((xy1 - 0.5 * (x_mean * y_both + y_mean * x_both) + pairs * x_mean * y_mean).sum())
     near_yy = float((yy1 - y_mean * y_both + pairs * y_mean**2).sum())

@@ -250,7 +250,6 @@ def _laid_flat(
 
 
 def _halved(flat: _Flat) -> tuple[_Flat, ...]:
-    """Cut the steps between two runs; whole where that halves nothing."""
     middle = len(flat.left) // 2
     run = int(np.argmin(np.abs(flat.starts - middle))) if len(flat.starts) else 0
     step = int(flat.starts[run]) if run else 0

@@ -33,7 +33,7 @@ REPORTED_GAP_PROBABILITY: Final = 0.3
 #: sets taken as current, one after the other
 _MAX_SET_CHANGES: Final = 5
 _MAX_FORM_CHANGES: Final = 3
-#: log evidence that an effect gains about its own path where that of another does not do for it
+#: log evidence gained about the own path that another's does not do for
 _NONLINEAR: Final = 1.0
 #: beside a larger lack of fit the search begins anew
 _SMALL_LACK_OF_FIT: Final = 1.0
@@ -110,7 +110,9 @@ def search(
 
     gap_certain = at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY
     weigh = partial(_weighed, shifts=shifts)
-    local, fitted, weighed = _outdone(*_most_probable(local, fitted, gap_certain, settle, weigh), settle, weigh)
+    local, fitted, weighed = _best_alternative(
+        *_most_probable(local, fitted, gap_certain, settle, weigh), settle, weigh
+    )
     by_model = weighed.probability.sum(axis=0)
     by_set = local.by_effects(weighed.models, by_model)
     order = sorted(by_set, key=lambda key: -by_set[key])
@@ -342,7 +344,7 @@ def _step(before: Fitted, after: Fitted) -> float:
     return float(np.abs((new - old) / np.sqrt(np.diag(after.covariance))).max())
 
 
-def _outdone(
+def _best_alternative(
     local: LocalSearch,
     fitted: Fitted,
     weighed: _WeighedModels,
@@ -351,7 +353,7 @@ def _outdone(
 ) -> tuple[LocalSearch, Fitted, _WeighedModels]:
     """Return the best of a set and of likely ones with another effect in place of one, each about its own path.
 
-    Effects of a large gap are further from what the path of another says of them than evidence can be.
+    In a large gap linearising about another's path errs by more than evidence weighs.
     """
     best, own, total = (local, fitted, weighed), set(local.current_effects), weighed.probability.sum(axis=0)
     least = total[weighed.models.index(local.current)] * np.exp(-_LIKELY_WINDOW)

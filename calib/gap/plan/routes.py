@@ -22,7 +22,10 @@ LEFT_ROUTES: Final = {
     "route_left": (straight(5.0), arc(3.0, 0.5 * np.pi), straight(5.0), arc(1.5, 0.5 * np.pi), straight(3.0)),
     "circle_left": (arc(1.2, 4 * np.pi),),
 }
-KINDS: Final = (*LEFT_ROUTES, *(name.replace("_left", "_right") for name in LEFT_ROUTES), *set(NAMED) - {"corridor"})
+KINDS: Final = (
+    *(name.replace("_left", side) for name in LEFT_ROUTES for side in ("_left", "_right")),
+    *(name for name in NAMED if name != "corridor"),
+)
 #: of a route's samples
 ROUTE_SPACING_M: Final = 0.05
 #: recorded distances of corridors
@@ -33,6 +36,8 @@ USUAL_TRACK_M: Final = 0.7
 LEAST_RADIUS: Final = 1.5
 #: slow over fast at most: else one speed was driven
 SLOWER: Final = 0.7
+#: of the fastest: slower runs turn on the spot
+LEAST_SPEED: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +51,7 @@ class Dimensions:
     speeds_mps: tuple[float, float] = (0.3, 0.7)  #: slow and fast
 
     def of(self, kind: str, segments: Sequence[Segment]) -> Route:
-        """Return the route of a kind in its size."""
+        """Return the route of a kind in its size; `segments`: lengths (m) and turns (rad) at the usual size."""
         usual = Route.from_segments(kind, *segments)
         bends = usual.turn_rad != 0.0
         radii_m = np.abs(usual.length_m[bends] / usual.turn_rad[bends])
@@ -72,8 +77,7 @@ def dimensions_of(driven: Campaign) -> Dimensions:
     if not CORRIDOR_RANGE_M[0] <= length_m <= CORRIDOR_RANGE_M[1]:
         length_m = min(DEFAULT_CORRIDOR_M, max(most_m, DEFAULT_CORRIDOR_M * scale))
     speeds = driven_speed_mps(path.s)
-    # slower ones turn on the spot
-    speeds = speeds[speeds > 0.25 * np.nanmax(speeds, initial=0.0)]
+    speeds = speeds[speeds > LEAST_SPEED * np.nanmax(speeds, initial=0.0)]
     slow, fast = np.quantile(speeds, (0.1, 0.9)).tolist() if len(speeds) else (0.3 * scale, 0.7 * scale)
     least_m = LEAST_RADIUS * driven.vehicle.wheelbase_m * (odometry_source(driven) == "shaft")
     return Dimensions(

@@ -114,7 +114,6 @@ def constant_components(poses: FloatArray) -> FloatArray:
 
 
 def _updates(poses: FloatArray) -> list[int]:
-    """Return where the filter updates, both ends included."""
     kept = [0]
     for at in range(1, len(poses)):
         dx, dy, turn = poses[at] - poses[kept[-1]]
