@@ -47,6 +47,10 @@ TRIAL_ROUNDS: Final = 6
 TRIAL_NOISE_ROUNDS: Final = 1
 #: and up to a step of less log likelihood
 TRIAL_STEADY: Final = 0.1
+#: of more than twice so many runs, so many, shortest and longest among them, rule out what leaves this many times more
+#: than a reading may leave of all
+SCREENED_RUNS: Final = 16
+SCREENED: Final = 2.0
 #: readings within this factor of the least are alike: the first, the simplest, is named
 ALIKE: Final = 1.3
 #: lengths further from nominal are no calibration
@@ -83,19 +87,29 @@ def find_blunder(
     """
     per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)
     drive = drive_of(campaign, source, recording)
+    travel_rad = recording.travel_rad[recording.offsets[1:] - 1]
+    some = np.argsort(travel_rad)[np.linspace(0, len(recording) - 1, SCREENED_RUNS).astype(int)]
 
     def tried(
-        change: Change, setting: Callable[[Campaign], Campaign] | None = None, sensor: tuple[str, ...] = PLACE
+        change: Change,
+        setting: Callable[[Campaign], Campaign] | None = None,
+        sensor: tuple[str, ...] = PLACE,
+        *,
+        of_some: bool = False,
     ) -> Trial:
         stated = setting(campaign) if setting else campaign
         driven = drive_of(stated, source, recording) if setting else drive
-        return _tried(stated, change(recording), driven, divide, sensor)
+        changed = change(recording)
+        return _tried(stated, changed.select(some) if of_some else changed, driven, divide, sensor)
 
     as_it_stands, turned = tried(unchanged), tried(unchanged, sensor=MOUNTED)
     # impossible lengths explain nothing, and a sensor that is turned a little no reading
     enough = min([SMALL_SHARE, *(CLEARLY_LESS * trial.share for trial in (as_it_stands, turned) if trial.plausible)])
     best: list[tuple[Trial, Reading]] = []
+    many = len(recording) > 2 * SCREENED_RUNS
     for reading in readings(recording, per_rev, drive, as_it_stands.turned_rad, plausible=as_it_stands.plausible):
+        if many and tried(reading.change, reading.setting, MOUNTED, of_some=True).share >= SCREENED * enough:
+            continue
         trial = tried(reading.change, reading.setting)
         if trial.plausible and trial.share >= enough:
             # beside a sensor that is turned a little
@@ -222,7 +236,7 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     """Return the share of squares a departure explains, its size, and that one's standard uncertainty."""
     model, solution = fitted.model, fitted.solution
     recording = departure.change(model.recording, departure.step)
-    segments = _remeasured(model.segments, model.recording.reference, recording.reference)
+    segments = remeasured(model.segments, model.recording.reference, recording.reference)
     changed = Model(model.drive, recording, segments).predict(solution.values)
     jacobian, residuals = whitened(solution, fitted.parameters.free)
     shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed.residuals)
@@ -251,7 +265,8 @@ LEAST_SIZE: Final = 0.5
 LARGEST_SIZE: Final = 30.0
 
 
-def _remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Segments:
+def remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Segments:
+    """Return the same stretches as another reference measures them; references have shape (3, n_samples)."""
     if after is before:
         return segments
     ends = segments.first, segments.last

@@ -338,21 +338,23 @@ class Path:
 def integrate_motion(motion: Motion) -> Path:
     """Integrate steps of constant twist: each is the chord of its arc, at the heading in its middle."""
     forward, left, turn = motion.body
-    d_forward, d_left, d_turn = (motion.by_parameter[:, axis] for axis in range(3))
     half = 0.5 * turn
-    ratio = np.sinc(half / np.pi)
     near = np.abs(half) < SMALL_RAD
-    slope = np.where(near, -half / 3.0, (np.cos(half) - ratio) / np.where(near, 1.0, half))
+    divisor = np.where(near, 1.0, half)
+    ratio = np.where(near, 1.0 - half**2 / 6.0, np.sin(half) / divisor)
+    slope = np.where(near, -half / 3.0, (np.cos(half) - ratio) / divisor)
     theta = np.cumsum(turn)
     cosine, sine = np.cos(theta - half), np.sin(theta - half)
     along_x, along_y = forward * cosine - left * sine, forward * sine + left * cosine
-    pose = np.stack([np.cumsum(ratio * along_x), np.cumsum(ratio * along_y), theta])
-    d_theta = np.cumsum(d_turn, axis=1)
-    d_middle = d_theta - 0.5 * d_turn
-    d_ratio = slope * 0.5 * d_turn
-    d_x = d_ratio * along_x + ratio * (d_forward * cosine - d_left * sine - along_y * d_middle)
-    d_y = d_ratio * along_y + ratio * (d_forward * sine + d_left * cosine + along_x * d_middle)
-    return Path(pose, np.stack([np.cumsum(d_x, axis=1), np.cumsum(d_y, axis=1), d_theta], axis=1))
+    chord_x, chord_y, cosine, sine = (ratio * each for each in (along_x, along_y, cosine, sine))
+    # a turn bends its own chord by half and shortens it
+    own_x, own_y = 0.5 * (slope * along_x + chord_y), 0.5 * (slope * along_y - chord_x)
+    by_parameter = np.empty_like(motion.by_parameter)
+    for (d_forward, d_left, d_turn), (x, y, d_theta) in zip(motion.by_parameter, by_parameter, strict=True):
+        np.cumsum(d_turn, out=d_theta)
+        np.cumsum(own_x * d_turn + cosine * d_forward - sine * d_left - chord_y * d_theta, out=x)
+        np.cumsum(own_y * d_turn + sine * d_forward + cosine * d_left + chord_x * d_theta, out=y)
+    return Path(np.stack([np.cumsum(chord_x), np.cumsum(chord_y), theta]), by_parameter)
 
 
 def moved_between(pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:

@@ -13,7 +13,15 @@ from calib.errors import RefusedError
 from calib.kinematics import joint_fit
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import divisions, geometry_of, of_kinds
-from calib.kinematics.blunder_search import LARGEST_SIZE, find_blunder, find_departure, hidden_clock, score
+from calib.kinematics.blunder_search import (
+    LARGEST_SIZE,
+    Departure,
+    find_blunder,
+    find_departure,
+    hidden_clock,
+    remeasured,
+    score,
+)
 from calib.kinematics.blunders import Fault, corrected, times_fault
 from calib.kinematics.drives import SENSOR, Drive, nominal_turn
 from calib.kinematics.joint_fit import Delay, Fitted, drive_of, fit_parameters
@@ -208,6 +216,7 @@ def _without_departure(fit: _Fit) -> Geometry:
     if found is None or (found[0].named(found[1]).code == "clock_rate" and SENSOR[-1] in geometry.undetermined):
         return geometry
     departure, size = found
+    size = size if hidden else _refined(fit, departure, size)
     recording = replace(fit.fitted.model.recording, own_delay_s=None)
     for _ in range(SIZE_ROUNDS):
         other = _fitted(fit.task, departure.change(recording, size), (fault := departure.named(size),))
@@ -231,6 +240,19 @@ def _without_departure(fit: _Fit) -> Geometry:
         if corrected.misfit or corrected.delays or more_left:
             return geometry
     return geometry.doubted(fault) if corrected.misfit or fault.code == "turn_slip" else corrected
+
+
+def _refined(fit: _Fit, departure: Departure, size: float) -> float:
+    """Return the size of a departure that its own estimate settles at, by fits on the same stretches."""
+    model, start = fit.fitted.model, fit.fitted
+    for _ in range(SIZE_ROUNDS):
+        changed = departure.change(model.recording, size)
+        segments = remeasured(model.segments, model.recording.reference, changed.reference)
+        start = fit.task.fit(model.drive, changed, segments, start)
+        size += (more := score(start, departure)[1])
+        if not abs(more) >= SIZE_FOUND * abs(size):
+            break
+    return size
 
 
 def _mean_off_m(model: Model, fitted: Fitted) -> float:

@@ -192,10 +192,10 @@ class Model:
         """Return the motion of the body in each step at `values`, shape (n_parameters,)."""
         return self.drive.motion(values[: -len(SENSOR)], self.recording.steps)
 
-    def predict(self, values: FloatArray) -> Prediction:
-        """Return residuals and derivatives at `values`, shape (n_parameters,)."""
+    def predict(self, values: FloatArray, path: Path | None = None) -> Prediction:
+        """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known."""
         n_drive = len(values) - len(SENSOR)
-        path = integrate_motion(self.motion(values))
+        path = path or integrate_motion(self.motion(values))
         pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.segments, float(values[-1]))
         moved = (displacement(pose, by_parameter, first, other) for other in others)
         seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))

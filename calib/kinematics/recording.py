@@ -1,8 +1,8 @@
 """From a campaign to arrays: wheel travel and reference poses."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -148,6 +148,20 @@ class Recording:
                 f"{name}: found {headings[0] + 0.0:.6g} throughout, although the wheels turn by up to "
                 f"{turned:.3g} rad; expected the measured heading; leave the column empty where it was not measured"
             )
+
+    def select(self, runs: IntArray) -> "Recording":
+        """Return some runs, by their numbers, shape (n,)."""
+        samples = np.concatenate([np.arange(*self.offsets[[run, run + 1]]) for run in runs])
+
+        def part(values: Any) -> Any:
+            if not isinstance(values, np.ndarray):
+                return values
+            return values[..., samples] if values.shape[-1] == len(self.t_s) else values[runs]
+
+        steps = Steps(*(part(getattr(self.steps, column.name)) for column in fields(Steps)))
+        own = {column.name: part(getattr(self, column.name)) for column in fields(self)}
+        own |= {"steps": steps, "offsets": np.concatenate([[0], np.cumsum(np.diff(self.offsets)[runs])])}
+        return Recording(**own)
 
     def with_reference(self, reference: FloatArray) -> "Recording":
         """Return the recording with another reference, shape (3, n_samples), and its ends."""
