@@ -279,7 +279,6 @@ def _direction(spaces: Sequence[_Space], effect: int, rng: np.random.Generator) 
 
 
 def _log_evidence(spaces: Sequence[_Space], n_effects: int, readings: FloatArray, signal: float) -> FloatArray:
-    """Return log likelihoods against noise alone, (n, n_effects)."""
     by_effect = grouped((space.effect, _log_likelihood(space, readings, signal)) for space in spaces)
     return np.stack([_log_mean(np.stack(by_effect[effect], axis=1)) for effect in range(n_effects)], axis=1)
 

@@ -222,7 +222,6 @@ def _planted(form: Form, knobs: dict[str, float], world: World, size: float) -> 
 
 
 def _absorbed(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
-    """Return what changes of radii and track do, (n_units, 6, 3)."""
 
     def of(name: str) -> FloatArray:
         enlarged, size = scaled(name), np.full(len(replay.design), _RELATIVE_STEP)

@@ -38,7 +38,7 @@ def run(
     """Say where the gap between measured and simulated motion lies, and which unmodelled effect causes it.
 
     Exit status 0: there is no gap, or it is explained. 1: the causes cannot be told apart, or the gap is explained
-    in part only, or its cause is unknown. 2: bad input.
+    in part only, or its cause is unknown, or the data are to be corrected first. 2: bad input.
 
     Example: calib diagnose sample_runs/corridor_crossed --apply coefficients.json
     """
@@ -86,7 +86,8 @@ def run(
     terminal.then(
         "diagnose counters" if odd else step, c=campaign, sim=simulator or "", runs_named=odd[:6], file=apply or ""
     )
-    return 0 if applied is not None and diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} else 1
+    fine = diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} and not diagnosis.correct_first
+    return 0 if applied is not None and fine else 1
 
 
 #: steps that broken counters may be the cause of

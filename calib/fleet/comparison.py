@@ -58,7 +58,6 @@ def population(values: FloatArray, std: FloatArray) -> Population | None:
 
 
 def _between(values: FloatArray, variance: FloatArray, target: float) -> float:
-    """Return the variance between vehicles at which Cochran's Q is `target`; 0 where Q is below that."""
     variance = np.maximum(variance, 1e-30 + 1e-12 * float(np.max(variance)))
 
     def excess(between: float) -> float:

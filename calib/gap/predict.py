@@ -234,7 +234,6 @@ def _late_start(start_arc: FloatArray | None, late: FloatArray, follows: BoolArr
 
 
 def _turned(readings: FloatArray, angle_rad: FloatArray | None) -> FloatArray:
-    """Return readings (n_obs, n_channels) with along and lateral turned by an angle (n_obs,), where there is one."""
     if angle_rad is None:
         return readings
     c, s, turned = np.cos(angle_rad), np.sin(angle_rad), readings.copy()

@@ -253,7 +253,6 @@ class Steps:
         return summed
 
     def _levers(self, perturbation: Perturbation) -> Iterator[tuple[FloatArray, Lever]]:
-        """Yield each part with its lever; levers not asked for are never made."""
         both = perturbation.left is perturbation.right
         for name in _LEVERS:
             part = getattr(perturbation, name)

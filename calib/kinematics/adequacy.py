@@ -301,7 +301,6 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
 
 
 def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
-    """Return the change by one standard deviation of the steering zeros, shape (n, 3)."""
     if not fitted.zero_spread_rad:
         return np.zeros((len(logged.segments), 3))
     values = fitted.solution.values.copy()

@@ -78,8 +78,9 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     outliers = _outliers(model, solution)
+    whole_runs = whole.recording.run_id[whole.segments.run]
     squares = (
-        umbmark(before, after, whole.segments, campaign.model.track_m)
+        umbmark(before, after, whole.segments, campaign.model.track_m, np.isin(whole_runs, outliers))
         if source == "rear" and len(whole.segments) and whole.segments.are_runs_of(whole.recording)
         else Umbmark(False, why="squares of a vehicle with two encoders on one axle are needed")
     )
@@ -254,13 +255,16 @@ def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, Boo
     return side, left
 
 
-def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, track_m: float) -> Umbmark:
+def umbmark(
+    prediction: Prediction, calibrated: Prediction, segments: Segments, track_m: float, omitted: BoolArray
+) -> Umbmark:
     """Return what the squares among whole runs say, from the residuals of the nominal vehicle.
 
-    `prediction`: of the nominal vehicle; `calibrated`: its way shows which runs are squares; `track_m`: nominal.
+    `prediction`: of the nominal vehicle; `calibrated`: its way shows which runs are squares; `track_m`: nominal;
+    `omitted` (shape (n,)): outliers.
     """
     side, left = squares(calibrated, segments)
-    square = np.isfinite(side) & segments.seen[:, :2].all(axis=1)
+    square = np.isfinite(side) & segments.seen[:, :2].all(axis=1) & ~omitted
     n_ccw, n_cw = int((square & left).sum()), int((square & ~left).sum())
     if not n_ccw or not n_cw:
         missing = "squares" if n_ccw == n_cw else "clockwise squares" if not n_cw else "counter-clockwise squares"
@@ -355,7 +359,6 @@ def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
 
 
 def _aligned(path: FloatArray, onto: FloatArray, seen: IntArray) -> FloatArray:
-    """Return a path (3, n) moved as a whole so that samples `seen` lie nearest to those of `onto`."""
     good = np.isfinite(path[:2, seen]).all(axis=0) & np.isfinite(onto[:2]).all(axis=0)
     if good.sum() < 2:
         turn = float(np.nanmean(onto[2] - path[2, seen]))

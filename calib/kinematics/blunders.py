@@ -116,7 +116,6 @@ def _clear(dof: int) -> float:
 
 
 def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(None)) -> FloatArray | None:
-    """Return the robust slopes; None where those of `told` do not stand out."""
     normal, dof = turned @ turned.T, len(heading) - len(turned)
     if dof < 2 or np.linalg.cond(normal) > 1e10:
         return None

@@ -227,9 +227,10 @@ def _at_times(
     t_s = recording.t_s
     delay = delay_s + recording.delay_added_s[run] + recording.clock_rate * t_s[used]
     wanted = np.clip(t_s[used] - delay, t_s[low], t_s[high])
-    # samples are few steps away: a global search on time within runs takes shifted clocks
-    shift = np.concatenate(([0.0], np.cumsum(t_s[recording.offsets[1:] - 1] + 1.0)))[:-1]
-    clock = t_s + shift[recording.run]
+    # samples are few steps away: a global search on time within runs takes shifted clocks. One that steps back
+    # stands still there, or the search fails in all other runs
+    shift = np.concatenate(([0.0], np.cumsum(np.maximum.reduceat(t_s, recording.offsets[:-1]) + 1.0)))[:-1]
+    clock = np.maximum.accumulate(t_s + shift[recording.run])
     at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
     near = np.clip(at + np.arange(-1, 3)[:, None], low, high)
     weights = _between(t_s[near], wanted)
@@ -259,7 +260,6 @@ def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
 
 
 def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, high: IntArray) -> FloatArray:
-    """Return the velocity over two samples either side: counters move in whole counts."""
     before, after = np.maximum(at - 2, low), np.minimum(at + 3, high)
     span = t_s[after] - t_s[before]
     return np.asarray((pose[..., after] - pose[..., before]) / np.where(span > 0.0, span, np.inf))

@@ -261,7 +261,6 @@ def _increments(recording: Recording) -> Iterator[Reading]:
 
 
 def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
-    """Yield counters that overflow or start again, without the jumps."""
     size = np.abs(recording.steps.turned_rad)
     beside = np.maximum(np.roll(size, 1, axis=1), np.roll(size, -1, axis=1))
     jumps = size > np.maximum(JUMP_FACTOR * beside, 2.0 * np.pi)

@@ -350,7 +350,6 @@ def _whole(whitener: FloatArray) -> FloatArray:
 
 
 def _weights(white: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return robust weights of residuals, shape (3, n), and their squares."""
     squares = np.square(white).sum(axis=0)
     return (DEGREES + size) / (DEGREES + squares), squares
 

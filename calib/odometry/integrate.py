@@ -54,7 +54,6 @@ class _Flat:
 
 
 def _fill_arrays(flat: _Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, scheme: str) -> None:
-    """Write the poses after the steps into x, y and theta (n,)."""
     n = len(flat.left)
     buffers = np.empty((4, min(BLOCK, n)))
     edges = np.append(np.arange(0, n, BLOCK), n)

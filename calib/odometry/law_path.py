@@ -244,7 +244,6 @@ def _ratio_interval(without: Driven, corrected: Driven, draws: int, rng: np.rand
 
 
 def _frame(heading_rad: FloatArray) -> FloatArray:
-    """Return the derivatives of `COMPONENTS` by x, y and theta, (n, 5, 3)."""
     rows = np.zeros((len(heading_rad), len(COMPONENTS), 3))
     rows[:, 0, 0] = rows[:, 1, 1] = np.cos(heading_rad)
     rows[:, 0, 1] = np.sin(heading_rad)

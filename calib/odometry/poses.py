@@ -277,7 +277,6 @@ class RandomWalk:
 
 
 def _running(variance: FloatArray, direction: FloatArray) -> FloatArray:
-    """Return running sums of variances (..., n) along directions (k, ..., n), shape (..., n, k, k)."""
     return np.moveaxis(np.cumsum(variance * direction[:, None] * direction, axis=-1), (0, 1), (-2, -1))
 
 

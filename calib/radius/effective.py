@@ -347,7 +347,6 @@ def systematic_components(
 
 
 def _side(wheel: str) -> float:
-    """Return the sign of what a turn of the path does to a wheel's radius."""
     return -1.0 if wheel == "left" else 1.0
 
 

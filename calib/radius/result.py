@@ -213,7 +213,6 @@ def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
 
 
 def _check_seal(file: Path, value: Mapping[str, Any]) -> None:
-    """Refuse a fit that was changed: report and export would pass it on."""
     stated = value.get(CHECKSUM_KEY)
     try:
         computed = checksum({key: part for key, part in value.items() if key not in _ADDED})

@@ -365,7 +365,6 @@ def _count(value: float) -> float:
 
 
 def _sinc(u: float) -> tuple[float, float]:
-    """Return sin(u)/u and its derivative, near zero by series."""
     if abs(u) < 1e-2:
         v = u * u
         return 1.0 - v / 6.0 * (1.0 - v / 20.0 * (1.0 - v / 42.0)), -u / 3.0 * (1.0 - v / 10.0 * (1.0 - v / 28.0))

@@ -130,3 +130,18 @@ def test_headings_computed_from_the_counts_are_refused(tmp_path: Path, radius_er
     campaign = read_campaign(plant.write(recording, tmp_path / "own", along=False))
     with pytest.raises(BadInputError, match=r"on all 18 runs.*computed from the counts"):
         diagnose_in_full(campaign, plan=False)
+
+
+def test_sizes_of_data_that_cannot_be_are_not_recommended() -> None:
+    """Wheel loads written in kilograms make a law ten times too steep: it fits as well, and says nothing of wheels."""
+    rng = np.random.default_rng(0)
+    sound = make_campaign(good_design(rng, n_runs=RUNS, needs={"loads"}), {"load_radius": 3e-6}, rng)
+    numbers = {
+        name: column / 9.80665 if name.startswith("load_") else column for name, column in sound.runs.numbers.items()
+    }
+    spoilt = replace(sound, runs=replace(sound.runs, numbers=numbers))
+    verdict = diagnose_in_full(spoilt)
+    assert verdict.causes
+    assert verdict.correct_first
+    assert not verdict.recommended
+    assert "correct this first" in verdict.fix.why[0]

@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.campaign.model import Logs
+from calib.kinematics.drives import parameters_of
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import at_best_delay, delay_losses, drive_of, fit_parameters
-from calib.kinematics.model import window_segments
+from calib.kinematics.model import Model, window_segments
 from calib.kinematics.recording import recording_of
 from tests.kinematics.campaigns import Truth
 from tests.kinematics.test_named_blunders import in_map
@@ -33,3 +35,20 @@ def test_logs_too_coarse_for_a_delay_say_so(samples: int, told: bool) -> None:
     found = estimate_geometry(in_map(4, samples=samples), using="windows")
     assert any("too coarse for a delay" in note for note in found.notes) is told
     assert ("delay_s" in found.undetermined) is told
+
+
+def test_a_clock_that_steps_back_in_one_run_leaves_the_others_as_they_are() -> None:
+    """The path is looked up by the time of each run: a step of 40 s in one is no other run's."""
+    sound = in_map(8)
+    t_s = np.array(sound.logs.columns["t_s"])
+    first, last = sound.logs.offsets[1:3]
+    t_s[(first + last) // 2 : last] -= 40.0
+    stepped = replace(sound, logs=Logs(sound.logs.offsets, {**sound.logs.columns, "t_s": t_s}))
+    left = []
+    for made in (sound, stepped):
+        recording = recording_of(made, "rear")
+        model = Model(drive_of(made, "rear", recording), recording, window_segments(recording, 40))
+        values = np.array([item.nominal for item in parameters_of(model.drive, made.reference)])
+        left.append(model.predict(values).residuals[model.segments.run != 1])
+    # exact but for the rounding of a sum of times
+    np.testing.assert_allclose(left[1], left[0], atol=1e-9)

@@ -158,7 +158,6 @@ def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Map
 
 
 def _of_all_wheels(raw: RawTable, lines: Lines, shown: str, border: Border) -> RawTable:
-    """Return the samples with every wheel known: two streams begin, end and pause separately."""
     wheels = [raw.columns[line.column] for name, line in lines.items() if name.startswith(("counts_", "speed_"))]
     known = np.isfinite(np.sum(wheels, axis=0)) if wheels else np.ones(len(raw.line), dtype=np.bool_)
     if known.all() or not known.any():

@@ -108,7 +108,6 @@ def _matrix_columns(name: str, values: npt.NDArray[Any]) -> dict[str, FloatArray
 
 
 def _check_elements(data: bytes) -> None:
-    """Raise ValueError where an element is wrong; another version than 5 is left to the reader."""
     if (order := {b"IM": "<", b"MI": ">"}.get(data[126:_HEADER_BYTES])) is None:
         raise ValueError("no header of version 5")
     if struct.unpack(f"{order}H", data[124:126])[0] >> 8 == 1:

@@ -182,7 +182,6 @@ def _first_lines(data: bytes, n_lines: int) -> list[str]:
 def _read_numeric(
     body: bytes, names: list[str], delimiter: str, wanted: Wanted
 ) -> tuple[dict[str, FloatArray], int, bool] | None:
-    """Read clean numeric columns at once; None where anything is odd."""
     rows = body.count(b"\n") + (0 if body.endswith(b"\n") or not body else 1)
     keep = [name for name in names if name and wanted(name)]
     if rows == 0 or not keep or not of_one_width(body, len(names), delimiter):

@@ -117,8 +117,6 @@ def known_effects() -> set[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Effect:
-    """An effect as its macro reads it: sizes and settings as C numbers, 0 for a size that the form lacks."""
-
     name: str
     form: str
     settings: Mapping[str, float]

@@ -82,6 +82,10 @@ def decide(evidence: Evidence) -> Diagnosis:
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, found, fix)
         causes = [cause for cause in causes if is_named_beside(cause, fix, found)]
+    # sizes follow data that cannot be
+    if causes and not situation.faults and (wrong := [*implausible(situation.campaign)]):
+        why = (f"sizes follow {note.where}, which cannot be as stated: correct this first" for note in wrong)
+        fix = replace(fix, recommended=False, why=(*why, *fix.why))
     causes = sorted(causes, key=lambda cause: -cause.probability)
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
@@ -123,7 +127,8 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     off = _misfit(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     said = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
-    first = _on_data(evidence.situation, blunder) if diagnosis.kind in NOTHING_NAMED else ()
+    named = diagnosis.kind not in NOTHING_NAMED
+    first = () if named and evidence.situation.faults else _on_data(evidence.situation, blunder)
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
     text = lead + said + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
     for note in columns_as_one(evidence.situation.campaign.included()):

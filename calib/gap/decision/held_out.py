@@ -138,7 +138,6 @@ def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArra
 
 
 def _of_each_condition(observations: Observations) -> IntArray:
-    """Return folds with a share of each condition, (n_units,)."""
     fold = np.zeros(len(observations), dtype=np.int64)
     fold[np.argsort(observations.condition, kind="stable")] = np.arange(len(observations)) % MOST_FOLDS
     return fold

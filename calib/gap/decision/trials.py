@@ -96,7 +96,6 @@ def trials(left_out: HeldOutFit, before: FloatArray, dof: float, rerun: FloatArr
 
 
 def _values(observations: Observations) -> Iterator[tuple[str, str, BoolArray]]:
-    """Yield what varies, its values, and observations of each, (n_units,)."""
     for name, labels in groupings(observations).items():
         for value in np.unique(labels):
             units = labels == value

@@ -130,7 +130,6 @@ class LostCounts(Effect):
 
 
 def _wheel_mps(observations: Observations, side: str) -> FloatArray:
-    """Return the speed of a wheel in each step by the log, else the set speed, shape (n_steps,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         logged = np.abs(getattr(observations, f"travel_{side}_m")) / observations.duration_s
     known = observations.from_log[observations.unit] & np.isfinite(logged)
@@ -138,7 +137,6 @@ def _wheel_mps(observations: Observations, side: str) -> FloatArray:
 
 
 def _wheels_mps(observations: Observations) -> FloatArray:
-    """Return the mean speed of both wheels over their way, shape (n_obs,); NaN where it is not known."""
 
     def mean(part: Observations) -> FloatArray:
         ways = [np.abs(part.travel_left_m), np.abs(part.travel_right_m)]

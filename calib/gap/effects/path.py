@@ -175,7 +175,6 @@ class BrakingSkid(Effect):
 
 
 def _highest_mps(observations: Observations, at: BoolArray) -> FloatArray:
-    """Return the highest speed since the stop before, over four steps as whole counts jump, shape (n_steps,)."""
     middle_m = observations.cumulative(observations.path_m) - 0.5 * observations.path_m
     rate = np.abs(rate_per_s(observations, middle_m, 2))
     edges = np.union1d(observations.starts, np.flatnonzero(at) + 1)

@@ -167,7 +167,6 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
 
 
 def _spread(columns: FloatArray, cells: IntArray, repeated: BoolArray) -> FloatArray:
-    """Give each repeated cell its own columns, shape (n_rows, n_cells * k)."""
     labels, index = np.unique(cells[repeated], return_inverse=True)
     columns_by_cell = np.zeros((len(columns), len(labels), columns.shape[1]))
     columns_by_cell[np.flatnonzero(repeated), index] = columns[repeated]

@@ -62,7 +62,6 @@ class Weighting:
         return Weighting(system, rest.name, scale, tuple(groups), common)
 
     def _noise(self, own: FloatArray) -> FloatArray:
-        """Return noise variances (n, length) beside own columns (n, length, k)."""
         # own columns far beyond their size leave the noise below rounding
         return np.asarray(1.0 + _ROUNDING * (1.0 + (own**2).sum(axis=2)))
 

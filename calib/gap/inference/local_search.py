@@ -271,7 +271,6 @@ class LocalSearch:
 
 
 def _total(weight: FloatArray) -> FloatArray:
-    """Sum over the scales of the lack of fit, shape (n_models,)."""
     top = weight.max(axis=0)
     top = np.where(np.isfinite(top), top, 0.0)
     with np.errstate(divide="ignore"):

@@ -278,7 +278,6 @@ def _residual_of(path: Path, first: int, behind: int) -> FloatArray:
 
 
 def _chained_pose(motions: FloatArray) -> FloatArray:
-    """Return the pose after motions (n, 3), each in the frame of its start."""
     heading = np.concatenate(([0.0], np.cumsum(motions[:, 2])))
     place = ((motions[:, 0] + 1j * motions[:, 1]) * np.exp(1j * heading[:-1])).sum()
     return np.array([place.real, place.imag, heading[-1]])

@@ -87,7 +87,6 @@ def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArr
 
 
 def _summed_products(vector: Mapping[int, FloatArray], weight: FloatArray, starts: IntArray) -> FloatArray:
-    """Sum weighted outer products, shape (n_units, 6, 6)."""
     summed = np.zeros((len(starts) - 1, N_CHANNELS, N_CHANNELS))
     weighted = {channel: values * weight for channel, values in vector.items()}
     for a, b in combinations_with_replacement(sorted(vector), 2):
@@ -120,7 +119,6 @@ def quantisation(path: Path) -> FloatArray:
 
 
 def _fixed_noise(path: Path) -> FloatArray:
-    """Return the covariance of counting and of a start frame read, (n_units, 6, 6)."""
     start = _start_turn(path) * path.s.sigma_start_rad[:, None]
     return quantisation(path) + start[:, :, None] * start[:, None, :]
 

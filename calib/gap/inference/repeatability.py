@@ -226,7 +226,6 @@ def group_factors(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _squares(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return the products of each unit's rows (n_groups, 6 n, k), shape (n_groups n, 6, 6)."""
     k = left.shape[2]
     return left.reshape(-1, N_CHANNELS, k) @ right.reshape(-1, N_CHANNELS, k).transpose(0, 2, 1)
 

@@ -55,7 +55,6 @@ class ScaleEvidence:
         return len(system.path.s) <= MAX_REPLICATES
 
     def _by_unit(self, columns: FloatArray) -> FloatArray:
-        """Return rows (n_rows, q) by unit and channel, (n_units, 6, q); 0 where not measured."""
         spread = np.zeros((len(self._fixed), N_CHANNELS, columns.shape[1]))
         spread[self._blocks.unit, self._blocks.channel] = columns
         return spread

@@ -106,7 +106,6 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
 
 
 def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
-    """Return counts and reference (poses before ranges) where known; None if too few."""
     needed = (*COUNT_COLUMNS, *(REFERENCE_POSE if set(REFERENCE_POSE) <= log.keys() else RANGE_COLUMNS))
     if not set(needed) <= log.keys():
         return None
@@ -138,7 +137,6 @@ def _trace(
 
 
 def _summed(steps: FloatArray | IntArray) -> FloatArray:
-    """Return the running sum (n + 1,) of steps (n,) from zero."""
     return np.append(0.0, np.cumsum(steps))
 
 
@@ -225,7 +223,6 @@ def scan_route(
 
 
 def _route(traces: list[Trace]) -> _Route | None:
-    """Return runs of about the usual length, with their grid; None if too few or too short."""
     if len(traces) < MIN_TRACED_RUNS:
         return None
     length = float(np.median([float(trace.way_m[-1]) for trace in traces]))

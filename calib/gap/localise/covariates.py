@@ -183,7 +183,6 @@ class _Dependence:
 
 
 def _share(explained: FloatArray, df: int, left: FloatArray, dof: FloatArray, beyond: FloatArray) -> FloatArray:
-    """Return the share of squares `beyond` the noise level that `df` parameters explain but by chance, (n,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         residual = np.maximum(left / np.maximum(dof, 1.0), 1.0)
         return np.asarray(np.clip(np.where(beyond > 0, (explained - df * residual) / beyond, 0.0), 0.0, 1.0))
@@ -224,7 +223,6 @@ def _products(nominal: Path, noise: Noise, gap: FloatArray) -> tuple[FloatArray,
 
 
 def _shares(moments: FloatArray, count: FloatArray, wheel: int) -> FloatArray:
-    """Return a wheel's share above the noise level by moments (n, 3, 3) of `count` rows (n,)."""
     explained, rest = _partial_squares(moments, wheel)
     return _share(explained, 1, rest, count - 2.0, moments[:, 2, 2] - count)
 

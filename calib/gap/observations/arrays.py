@@ -373,7 +373,6 @@ class Observations:
         return int(np.clip(np.ceil(0.5 * (steps - 1.0)), 0, MOST_SMOOTHED_STEPS))
 
     def _smooth(self, steps: FloatArray, half: int) -> FloatArray:
-        """Return a running mean in each observation, (n_steps,)."""
         running = np.concatenate(([0.0], np.cumsum(steps)))
         index = np.arange(len(steps))
         first = np.maximum(index - half, self.starts[self.unit])

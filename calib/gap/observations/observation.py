@@ -141,7 +141,6 @@ def observation_from_log(
 
 
 def _means(samples: FloatArray, index: IntArray) -> FloatArray:
-    """Return the means of samples (n,) between the picked ones, each at the later, shape (n_picked,)."""
     return np.append(samples[index[0]], np.diff(np.cumsum(samples)[index]) / np.diff(index))
 
 

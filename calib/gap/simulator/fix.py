@@ -360,7 +360,6 @@ def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
 
 
 def _forbidden(diagnosis: Diagnosis) -> str:
-    """Say which parameter would do it with its forbidden sign, else nothing."""
     forms, a, r = _signatures(diagnosis)
     for form, column in zip(forms, a.T, strict=True):
         sign = form.parameters[0].sign
