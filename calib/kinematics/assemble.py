@@ -78,9 +78,10 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     outliers = _outliers(model, solution)
-    whole_runs = whole.recording.run_id[whole.segments.run]
+    off = np.isin(model.recording.run_id, outliers)[whole.segments.run]
+    good = replace(whole.segments, seen=whole.segments.seen & ~off[:, None])
     squares = (
-        umbmark(before, after, whole.segments, campaign.model.track_m, np.isin(whole_runs, outliers))
+        umbmark(before, after, good, campaign.model.track_m)
         if source == "rear" and len(whole.segments) and whole.segments.are_runs_of(whole.recording)
         else Umbmark(False, why="squares of a vehicle with two encoders on one axle are needed")
     )
@@ -255,16 +256,13 @@ def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, Boo
     return side, left
 
 
-def umbmark(
-    prediction: Prediction, calibrated: Prediction, segments: Segments, track_m: float, omitted: BoolArray
-) -> Umbmark:
+def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, track_m: float) -> Umbmark:
     """Return what the squares among whole runs say, from the residuals of the nominal vehicle.
 
-    `prediction`: of the nominal vehicle; `calibrated`: its way shows which runs are squares; `track_m`: nominal;
-    `omitted` (shape (n,)): outliers.
+    `prediction`: of the nominal vehicle; `calibrated`: its way shows which runs are squares; `track_m`: nominal.
     """
     side, left = squares(calibrated, segments)
-    square = np.isfinite(side) & segments.seen[:, :2].all(axis=1) & ~omitted
+    square = np.isfinite(side) & segments.seen[:, :2].all(axis=1)
     n_ccw, n_cw = int((square & left).sum()), int((square & ~left).sum())
     if not n_ccw or not n_cw:
         missing = "squares" if n_ccw == n_cw else "clockwise squares" if not n_cw else "counter-clockwise squares"

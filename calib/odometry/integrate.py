@@ -104,7 +104,6 @@ def _shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: Float
 
 
 def _running(steps: FloatArray, begins: IntArray, start: FloatArray, out: FloatArray) -> None:
-    """Write running sums of steps (n,), which are used up, anew from `start` (pieces,) at each of `begins`."""
     if len(begins) > 1:
         ends = start + np.add.reduceat(steps, begins)
         # from the end of the run before to its own start

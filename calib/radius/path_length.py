@@ -362,7 +362,6 @@ def _best_periods(heading: FloatArray, most: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=2)
 def _sines(m: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return numbers of periods, and two trend-free unit waves for each, on `m` steps."""
     u = np.linspace(0.0, 1.0, m)
     grid = np.arange(MIN_PERIODS, MAX_PERIODS + PERIOD_STEP / 2, PERIOD_STEP)
     trend, _ = np.linalg.qr(np.column_stack((np.ones_like(u), u)))

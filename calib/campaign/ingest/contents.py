@@ -199,7 +199,6 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
 
 
 def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
-    """Return a table as read, turned where its first column has more names of calib's than the header."""
     turned, n_turned = replace(layout, runs_in_columns=True), 0
     with suppress(BadFileError):
         other = read_table(path, shown, None, turned)

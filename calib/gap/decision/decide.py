@@ -12,7 +12,7 @@ from calib.campaign.checks.design import columns_as_one
 from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
 from calib.gap.decision.constancy import SizeDifference, size_differences, without_refuted
-from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Group, NoiseSummary, Situation, VerdictKind
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Fix, Group, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, without_length
 from calib.gap.decision.kind import (
     CERTAIN_PROBABILITY,
@@ -82,10 +82,6 @@ def decide(evidence: Evidence) -> Diagnosis:
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, found, fix)
         causes = [cause for cause in causes if is_named_beside(cause, fix, found)]
-    # sizes follow data that cannot be
-    if causes and not situation.faults and (wrong := [*implausible(situation.campaign)]):
-        why = (f"sizes follow {note.where}, which cannot be as stated: correct this first" for note in wrong)
-        fix = replace(fix, recommended=False, why=(*why, *fix.why))
     causes = sorted(causes, key=lambda cause: -cause.probability)
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
@@ -96,7 +92,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         where=evidence.where,
         closure=closure,
         unexplained=None if kind in NO_GAP_SHOWN and not situation.faults else unexplained,
-        fix=replace(fix, moves=moved(evidence, fix, causes)),
+        fix=_of_sound_data(replace(fix, moves=moved(evidence, fix, causes)), situation) if causes else fix,
         notes=(*evidence.observations.notes, *situation.notes, *_on_small(small if causes else ())),
         noise_level=noise_level,
         probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),
@@ -107,6 +103,13 @@ def decide(evidence: Evidence) -> Diagnosis:
         evidence=evidence,
     )
     return _in_words(diagnosis, evidence)
+
+
+def _of_sound_data(fix: Fix, situation: Situation) -> Fix:
+    """Return a fix, not recommended where its sizes follow data that cannot be."""
+    wrong = [] if situation.faults else [*implausible(situation.campaign)]
+    why = (f"sizes follow {note.where}, which cannot be as stated: correct this first" for note in wrong)
+    return replace(fix, recommended=fix.recommended and not wrong, why=(*why, *fix.why))
 
 
 def _as_shown(evidence: Evidence, kind: VerdictKind, gap_probability: float) -> tuple[VerdictKind, float, NoiseSummary]:

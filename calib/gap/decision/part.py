@@ -12,7 +12,7 @@ from calib.gap.decision.causes import Finding, jointly_zero
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
 from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.kind import CERTAIN_PROBABILITY
-from calib.gap.decision.trials import Trial, trials
+from calib.gap.decision.trials import Trial, most_square, trials
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS
@@ -167,9 +167,24 @@ def _tried(
     sessions = not any(evidence.effects[name].per_session for name in (*names, *stepping))
     improvement = improvement_of(left_out, sessions=sessions, stated=stated)
     tried = trials(left_out, before - steps, evidence.noise.dof)
-    as_is, alone = (float(np.sqrt(left_out.squares(gap).mean())) for gap in (before, fitted.left + steps))
-    text = f"alone it makes these runs worse ({alone / as_is:.2g} times the gap), for it is the steps that it takes off"
-    return fitted, improvement, tried, (text,) if stepping and alone > as_is else ()
+    worse = _worse_sessions(evidence, left_out, before, fitted.left + steps)[:1] if stepping else ()
+    return fitted, improvement, tried, tuple(worse)
+
+
+def _worse_sessions(evidence: Evidence, left_out: HeldOutFit, before: FloatArray, alone: FloatArray) -> list[str]:
+    """Return which sessions a fix alone leaves further off, beyond noise, the worst first."""
+    observations, found = evidence.observations, []
+    squares = [left_out.squares(gap) for gap in (before, alone)]
+    for session in np.unique(observations.labels["session"]):
+        units = observations.labels["session"] == session
+        as_is, left = (float(part[units].sum()) for part in squares)
+        if left > max(as_is, most_square(int(observations.usable[units].sum()), evidence.noise.dof)):
+            found.append((left / as_is, session))
+    return [
+        f"alone it makes session {session} worse ({np.sqrt(ratio):.2g} times the gap), for it is the steps of the "
+        "others that it takes off"
+        for ratio, session in sorted(found, reverse=True)
+    ]
 
 
 def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Quantity]:

@@ -95,7 +95,6 @@ def _summed_products(vector: Mapping[int, FloatArray], weight: FloatArray, start
 
 
 def _start_turn(path: Path) -> FloatArray:
-    """Return what turning the start frame by 1 does to the readings, shape (n_units, 6)."""
     start, (c, s) = np.zeros((len(path.s), N_CHANNELS)), path.frame_turned
     start[:, 1] = s * path.end[:, 0] - c * path.end[:, 1]
     start[:, 2] = c * path.end[:, 0] + s * path.end[:, 1]

@@ -342,7 +342,6 @@ def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatA
 
 
 def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[FloatArray, FloatArray]:
-    """Return each group's own columns (n_units, 6, 9) and their prior precision (9,)."""
     observations = path.s
     design = np.zeros((len(observations), 6, N_GROUP_COLUMNS))
     design[:, :, :3] = _of_their_route(path, grouped)

@@ -237,7 +237,6 @@ def _route(traces: list[Trace]) -> _Route | None:
 
 
 def _sizes(route: _Route, gaps: FloatArray) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """Return runs' growth of the gap over stretches, (n_runs, n_stretches), beside their calibration, and places."""
     grid = route.grid
     starts, ends = _stretches(len(grid))
     ramp = np.clip((grid[None, :] - grid[starts][:, None]) / (grid[ends] - grid[starts])[:, None], 0.0, 1.0)

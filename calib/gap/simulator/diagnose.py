@@ -135,7 +135,6 @@ def _confirmed(
 
 
 def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
-    """Return a diagnosis with the ties among parameters of a first: runs with one of them do not tell it apart."""
     names = {cause.effect for cause in diagnosis.causes}
     own = [group for group in first.groups if all(name.startswith(SIMULATOR_PREFIX) for name in group.effects)]
     lost = [group for group in own if group.effects[0] in names and group not in diagnosis.groups]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -220,3 +221,18 @@ def test_a_weak_cause_beside_a_large_one_is_an_error_of_its_form() -> None:
     ):
         causes = [cause(largest, signal=400.0), cause("payload_position", signal=signal, share=1e-3)]
         assert (negligible(causes, certain) == ("payload_position",)) is small
+
+
+def test_a_fix_that_leads_one_session_further_off_is_none_though_the_others_gain() -> None:
+    """A mean over sessions takes most from the one that is far off, and spoils those that were right."""
+    session = np.repeat(["day1", "day2", "day3"], 4)
+    before = np.repeat([[0.1], [15.0], [0.1]], 4, axis=0)
+    evidence = SimpleNamespace(
+        observations=SimpleNamespace(labels={"session": session}, usable=np.ones((12, 1), bool)),
+        noise=SimpleNamespace(dof=9.0),
+    )
+    left_out = SimpleNamespace(squares=np.square)
+    assert np.square(before - 5.0).sum() < np.square(before).sum()
+    worse = part._worse_sessions(evidence, left_out, before, before - 5.0)  # type: ignore[arg-type]
+    assert [text.split()[4] for text in worse] == ["day3", "day1"]
+    assert not part._worse_sessions(evidence, left_out, before, before - 0.2)  # type: ignore[arg-type]
