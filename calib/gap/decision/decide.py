@@ -9,6 +9,7 @@ import numpy as np
 
 from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.checks.design import columns_as_one
+from calib.campaign.model import Note
 from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
 from calib.gap.decision.constancy import SizeDifference, size_differences, without_refuted
@@ -92,7 +93,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         where=evidence.where,
         closure=closure,
         unexplained=None if kind in NO_GAP_SHOWN and not situation.faults else unexplained,
-        fix=_of_sound_data(replace(fix, moves=moved(evidence, fix, causes)), situation) if causes else fix,
+        fix=_of_sound_data(replace(fix, moves=moved(evidence, fix, causes)), situation, causes) if causes else fix,
         notes=(*evidence.observations.notes, *situation.notes, *_on_small(small if causes else ())),
         noise_level=noise_level,
         probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),
@@ -105,11 +106,18 @@ def decide(evidence: Evidence) -> Diagnosis:
     return _in_words(diagnosis, evidence)
 
 
-def _of_sound_data(fix: Fix, situation: Situation) -> Fix:
+def _of_sound_data(fix: Fix, situation: Situation, causes: Sequence[Cause]) -> Fix:
     """Return a fix, not recommended where its sizes follow data that cannot be."""
-    wrong = [] if situation.faults else [*implausible(situation.campaign)]
+    wrong = _wrong_data(situation, causes)
     why = (f"sizes follow {note.where}, which cannot be as stated: correct this first" for note in wrong)
     return replace(fix, recommended=fix.recommended and not wrong, why=(*why, *fix.why))
+
+
+def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
+    # no size follows a load but those of the law
+    of_load = any("load" in cause.effect for cause in causes)
+    notes = () if situation.faults else implausible(situation.campaign)
+    return [note for note in notes if of_load or "load" not in note.where]
 
 
 def _as_shown(evidence: Evidence, kind: VerdictKind, gap_probability: float) -> tuple[VerdictKind, float, NoiseSummary]:
@@ -130,8 +138,10 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     off = _misfit(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     said = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
-    named = diagnosis.kind not in NOTHING_NAMED
-    first = () if named and evidence.situation.faults else _on_data(evidence.situation, blunder)
+    if diagnosis.kind in NOTHING_NAMED:
+        first = _on_data(evidence.situation, blunder)
+    else:
+        first = tuple(note.sentence for note in _wrong_data(evidence.situation, diagnosis.causes))
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
     text = lead + said + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
     for note in columns_as_one(evidence.situation.campaign.included()):
