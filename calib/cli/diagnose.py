@@ -102,8 +102,8 @@ def _apply(
     Returns the step that it was, empty where the diagnosis' own holds, None where there is nothing to write.
     `effects`: those that the model has; None for a simulator.
     """
-    from calib.coefficients.file import effects_left_out, fitted_beside
-    from calib.gap.apply import applied_model
+    from calib.coefficients.file import fitted_beside
+    from calib.gap.apply import applied_model, on_vehicle
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.gap.simulator.fix import parameters_to_set
 
@@ -117,7 +117,7 @@ def _apply(
         else:
             model = applied_model(diagnosis, campaign, effects)
             made, what, step = model.to_bytes(), "model is", "diagnose --apply"
-            left_out = fitted_beside(model) and effects_left_out(model, "not in a vehicle's runtime, ros2, c and csv")
+            left_out = fitted_beside(model) and on_vehicle(model, diagnosis, campaign)
     except RefusedError as refused:
         terminal.say(f"{target} is not written: {refused}.")
         return None

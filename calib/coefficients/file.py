@@ -340,12 +340,12 @@ def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:
 
 
 def fitted_beside(file: CoefficientFile) -> tuple[str, ...]:
-    """Return what a vehicle has to expect of radii fitted beside effects that act on it."""
+    """Return what a vehicle has to expect that lacks effects which act on it."""
     if all(effect.effect.startswith(OF_INSTRUMENTS) for effect in file.effects):
         return ()
     return (
-        "radii and track were fitted together with these effects: without them a vehicle may err more than with the "
-        "model before; 'calib geometry' fits radii and track alone",
+        "with radii and track alone a vehicle may err more than with the model before: 'calib diagnose --apply' says "
+        "by how much",
     )
 
 

@@ -1,19 +1,23 @@
-"""A diagnosed effect added to the model, as a coefficient file."""
+"""A diagnosed effect added to the model, as a coefficient file, and what a vehicle has of it."""
 
 from collections.abc import Sequence
-from dataclasses import astuple
+from dataclasses import astuple, replace
 
 import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import FrontModel
 from calib.coefficients.build import Header, PoseNoise, from_law, joint_section, load_points
-from calib.coefficients.file import CoefficientFile
+from calib.coefficients.file import OF_INSTRUMENTS, CoefficientFile, believed_model, effects_left_out
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
-from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
-from calib.gap.effects.library import effect_class, section_of
+from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, VerdictKind
+from calib.gap.decision.held_out import end_rms_m
+from calib.gap.decision.sentences import SMALLER
+from calib.gap.effects.encoder import EncoderBlunder
+from calib.gap.effects.library import effect_class, section_of, with_effects
 from calib.gap.inference.fit import Fitted
+from calib.gap.predict import measured_gap, predict
 from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 
@@ -107,3 +111,26 @@ def _slopes_and_sections(
             settings = dict(cause.settings)
             sections.append(EffectSection(effect=cause.effect, form=cause.form, settings=settings, parameters=sizes))
     return slopes, sections
+
+
+def on_vehicle(file: CoefficientFile, diagnosis: Diagnosis, campaign: Campaign) -> tuple[str, ...]:
+    """Return what a vehicle has of a written model: radii, law and track without the effects, and what to do there."""
+    left_out, *notes = effects_left_out(file, "not in a vehicle's runtime, ros2, c and csv")
+    seen, declared, ends = diagnosis.observations, campaign.extra.get("effects", ()), []
+    # a fault of counts is corrected there
+    every = [section for section in file.effects if section.effect != EncoderBlunder.id]
+    instruments = [section for section in every if section.effect.startswith(OF_INSTRUMENTS)]
+    written = believed_model(file, seen.model.reference_load_N)
+    for model, effects in ((seen.model, instruments), (written, instruments), (written, every)):
+        bare = replace(seen, model=model, simulated=np.full_like(seen.simulated, np.nan))
+        path = predict(with_effects(bare, effects, declared)[0])
+        ends.append(end_rms_m(measured_gap(path, path), seen) or 0.0)
+    # an outside simulator's motion is no odometry's
+    if ends[0] and diagnosis.judged_against != BY_SIMULATOR:
+        sizes = "{:.3g} m by the model before, {:.3g} m by radii and track of the file alone, {:.3g} m with its effects"
+        idle = "; keep those before, or apply the effects by calib.runtime.Effects" * (ends[1] * SMALLER > ends[0])
+        notes = [f"end error of these runs: {sizes.format(*ends)}{idle}"]
+    for cause in diagnosis.corrected_causes:
+        for name, size in cause.parameters.items() if cause.effect.startswith("payload_") else ():
+            notes.append(f"enter payloads as found: {name.replace('_', ' ')} {size.value:+.3g} {size.unit}")
+    return left_out, *notes

@@ -316,10 +316,10 @@ def law_journey(
 
     `loads_N`, `reference_N`: loads (left, right) carried, and those that the uncorrected odometry stands on; `band`:
     uncertainty of the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not
-    known or `draws` below 100.
+    known, also of single runs whose scatter was not estimated, or `draws` below 100.
     """
-    if band not in BANDS or draws < 100:
-        raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(BANDS)} and 100 draws or more")
+    if band not in (bands := BANDS[: 1 + law.scatters]) or draws < 100:
+        raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(bands)} and 100 draws or more")
     wheels = (law.left, law.right)
     mean, reference = ([float(w.radius_m(n)) for w, n in zip(wheels, at, strict=True)] for at in (loads_N, reference_N))
     root, of_scale, scale, dof, off = _scatter(law, loads_N, single=band == "prediction", draws=draws, rng=rng)

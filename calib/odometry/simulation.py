@@ -361,9 +361,11 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
     journeys = tuple(
         law_journey(law, route, loads_N=pair, reference_N=reference_N, track_m=track_m, band=band, draws=draws, rng=rng)
         for pair in pairs
-        for band in BANDS
+        for band in BANDS[: 1 + law.scatters]
     )
-    notes = []
+    notes = (
+        [] if law.scatters else ["scatter of single runs was not estimated: no ± of a run, and intervals without it"]
+    )
     carried = [reference_N, *pairs, *zip(path.loading.left_N.tolist(), path.loading.right_N.tolist(), strict=True)]
     for side, wheel, loads in zip(SIDES, wheels, map(set, zip(*carried, strict=True)), strict=True):
         beyond = [load for load in sorted(loads) if not wheel.load_min_N - 1.0 <= load <= wheel.load_max_N + 1.0]

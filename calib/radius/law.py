@@ -54,7 +54,7 @@ class WheelLaw:
     covariance: FloatArray
     #: of `covariance`; see `strata`
     dof: float
-    #: standard deviation of a single run, in a session of its own, about the law
+    #: standard deviation of a single run, in a session of its own, about the law; 0: not estimated
     residual_std_m: float
     #: measured (a coefficient file's valid range); beyond, the law extrapolates
     load_min_N: float
@@ -83,9 +83,12 @@ class WheelLaw:
     def half_width_m(self, load_N: ArrayLike, *, single_run: bool = False) -> FloatArray:
         """Return the half width of the 95 % band at `load_N` (any shape), same shape, in m.
 
-        Of the mean, or of a `single_run` in a session of its own. NaN where there are no degrees of freedom.
+        Of the mean, or of a `single_run` in a session of its own. NaN where there are no degrees of freedom, or no
+        scatter of single runs.
         """
         contrast = self.contrast(load_N)
+        if single_run and not self.residual_std_m:
+            return np.full(contrast.shape[:-1], np.nan)
         if self.strata is not None:
             return self.strata.half_width(contrast, **self._more(contrast, single_run))
         std = self.prediction_std_m(load_N) if single_run else self.mean_std_m(load_N)
@@ -161,6 +164,11 @@ class RadiusLaw:
     joint: FloatArray | None = None
     #: of a single run's scatter about both laws
     run_covariance_m2: float = 0.0
+
+    @property
+    def scatters(self) -> bool:
+        """Whether the scatter of single runs was estimated."""
+        return self.left.residual_std_m > 0.0
 
     def covariance(self, track_std_m: float = 0.0, *, single_run: bool = False) -> FloatArray:
         """Return the covariance of `JOINT`, shape (5, 5).

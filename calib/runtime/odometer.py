@@ -101,8 +101,10 @@ class Odometer:
         max_step_m: float | None = None,
         max_gap_s: float | None = None,
     ) -> None:
-        if band not in ("mean", "prediction"):
-            raise CoefficientError(f"band: found {band!r}; expected 'mean' or 'prediction'")
+        scatters = coefficients.left.residual_std_m > 0.0
+        if band not in ("mean", "prediction")[: 1 + scatters]:
+            more = "'prediction'" if scatters else "a file with the scatter of single runs"
+            raise CoefficientError(f"band: found {band!r}; expected 'mean' or {more}")
         self.coefficients = coefficients
         self._band = band
         self._max_step_m = coefficients.max_step_m if max_step_m is None else max_step_m
@@ -189,13 +191,15 @@ class Odometer:
         self._offsets = (used[0] - wheels[0].reference_load_N, used[1] - wheels[1].reference_load_N)
         self._status = Status.OK
 
-    def set_payload(self, payload_kg: float, payload_x_m: float = 0.0, payload_y_m: float = 0.0) -> None:
-        """Set the wheel loads from a payload and its centre of mass; see `set_wheel_loads`.
+    def set_payload(
+        self, payload_kg: float, payload_x_m: float | None = None, payload_y_m: float | None = None
+    ) -> None:
+        """Set the wheel loads from a payload and its centre of mass, which 0 kg has not; see `set_wheel_loads`.
 
         Raises OdometerFault also where a wheel would lift or carry too much.
         """
-        mass, x, y = self._finite(payload_kg, payload_x_m, payload_y_m)
-        if mass < 0.0:
+        mass, x, y = self._finite(payload_kg, payload_x_m or 0.0, payload_y_m or 0.0)
+        if mass < 0.0 or (mass and None in (payload_x_m, payload_y_m)):
             raise self._refuse_load(Status.BAD_ARGUMENT)
         loads = self.coefficients.wheel_loads_N(mass, x, y)
         if min(loads) <= 0.0:
@@ -344,13 +348,13 @@ class Odometer:
         return entries
 
     def _finite(self, *given: float) -> tuple[float, ...]:
-        """Give the loads in force up, and return what is given in their place as finite numbers."""
         self._radii, self._clamped = None, False
         try:
-            numbers = tuple(map(float, given))
+            # refuses texts, which float() reads
+            finite, numbers = all(map(math.isfinite, given)), tuple(map(float, given))
         except (TypeError, ValueError, OverflowError):
             raise self._refuse_load(Status.BAD_ARGUMENT) from None
-        if not all(map(math.isfinite, numbers)):
+        if not finite:
             raise self._refuse_load(Status.NOT_FINITE)
         return numbers
 

@@ -98,6 +98,8 @@ def ratio_figure(rows: Sequence[TableRow], left: WheelLaw, right: WheelLaw) -> F
         radius = np.array([getattr(row, f"radius_{side}_m") for row in rows])
         for band, tint in (("prediction", SKY), ("mean", BLUE)):
             half = np.array([getattr(row, f"{band}_{side}_m") for row in rows]) / radius
+            if not np.isfinite(half).any():
+                continue
             name = "of a single run" if band == "prediction" else "of the mean"
             axes.fill_between(loads, 1 - half, 1 + half, color=tint, alpha=0.35, label=f"95 % band {name}")
             axes.plot(loads, np.stack([1 - half, 1 + half], axis=1), color=tint, linewidth=1.0)

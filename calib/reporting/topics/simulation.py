@@ -147,7 +147,7 @@ def replay_content(replay: Replay) -> tuple[Block, ...]:
         (title, fixed(replay.rms_m[key], 4), fixed(1e3 * replay.rms_heading_rad[key], 2))
         for key, title in (BY_GEOMETRY if replay.by_geometry else catalogue()["radii"]).items()
     ]
-    title = f"{name}: end error of {int(replay.in_range.sum())} runs."
+    title = f"{name}: end error, odometry minus reference, of {int(replay.in_range.sum())} runs."
     errors = table(title, ("<Radii", "rms (m)", "rms heading (mrad)"), rows)
     left_out = [Text(f"{count} runs not used: {reason}.") for reason, count in replay.left_out.items() if count]
     if replay.by_geometry:
@@ -207,7 +207,7 @@ def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> li
         tables |= {name: sweep.ends(), f"{name}_errors": sweep.along()}
     if simulation.law is not None:
         rows, path = simulation.law.table, simulation.law.path
-        title = f"Under the fitted law, {path.loading_text}: single runs, track, ground and encoders"
+        title = f"Under the fitted law, {path.loading_text}: law, track, ground and encoders"
         figures |= {
             "fig15": motion.ratio_figure(rows, simulation.law.law.left, simulation.law.law.right),
             "band": motion.law_path_figure(path, title=title),
