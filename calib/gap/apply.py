@@ -105,8 +105,7 @@ def _slopes_and_sections(
             sections.append(section_of(form, theta))
         first += len(theta)
     for cause in causes:
-        kind = effect_class(cause.effect)
-        if kind is not None and kind.found_before_search:
+        if cause.effect == EncoderBlunder.id:
             sizes = {name: Quantity(value=q.value, unit=q.unit) for name, q in cause.parameters.items()}
             settings = dict(cause.settings)
             sections.append(EffectSection(effect=cause.effect, form=cause.form, settings=settings, parameters=sizes))
@@ -114,16 +113,16 @@ def _slopes_and_sections(
 
 
 def on_vehicle(file: CoefficientFile, diagnosis: Diagnosis, campaign: Campaign) -> tuple[str, ...]:
-    """Return what a vehicle has of a written model: radii, law and track without the effects, and what to do there."""
+    """Return what a vehicle, which lacks the effects, has of a written model, and what to do there."""
     left_out, *notes = effects_left_out(file, "not in a vehicle's runtime, ros2, c and csv")
-    seen, declared, ends = diagnosis.observations, campaign.extra.get("effects", ()), []
-    # a fault of counts is corrected there
+    seen = diagnosis.observations
+    # a fault of counts is corrected in these
     every = [section for section in file.effects if section.effect != EncoderBlunder.id]
     instruments = [section for section in every if section.effect.startswith(OF_INSTRUMENTS)]
-    written = believed_model(file, seen.model.reference_load_N)
+    written, ends = believed_model(file, seen.model.reference_load_N), []
     for model, effects in ((seen.model, instruments), (written, instruments), (written, every)):
         bare = replace(seen, model=model, simulated=np.full_like(seen.simulated, np.nan))
-        path = predict(with_effects(bare, effects, declared)[0])
+        path = predict(with_effects(bare, effects, campaign.extra.get("effects", ()))[0])
         ends.append(end_rms_m(measured_gap(path, path), seen) or 0.0)
     # an outside simulator's motion is no odometry's
     if ends[0] and diagnosis.judged_against != BY_SIMULATOR:

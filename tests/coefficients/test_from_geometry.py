@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
+import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +19,8 @@ from calib.coefficients.formats import ExportOptions, LoadPair
 from calib.errors import ImplausibleError
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry
-from calib.runtime.coefficients import Coefficients
+from calib.runtime import Odometer
+from calib.runtime.coefficients import CoefficientError, Coefficients
 from calib.vehicle import wheel_loads_N
 from tests.kinematics.campaigns import Truth, campaign, mixed
 
@@ -47,6 +52,32 @@ def test_without_loads_the_slope_is_zero_with_its_standard_deviation(made: Campa
     near, far = law.mean_std_m([law.reference_load_N, law.reference_load_N + 1000.0])
     assert near == pytest.approx(geometry["radius_left_m"].std)
     assert far == pytest.approx(np.hypot(near, 0.01 * law.radius_ref_m), rel=1e-6)
+
+
+def test_no_band_of_a_single_run_is_stated_that_was_not_measured(
+    made: Campaign, geometry: Geometry, tmp_path: Path
+) -> None:
+    """Walks along the path have taken up what differs from run to run: table, runtime and header state none."""
+    file = from_geometry(geometry, made)
+    rows = list(csv.DictReader(io.StringIO(export(file, "csv")[0].data.decode())))
+    cells = [
+        (row[f"radius_{side}_mean_u95_m"], row[f"radius_{side}_prediction_u95_m"])
+        for row in rows
+        for side in ("left", "right")
+    ]
+    assert all(mean and not single for mean, single in cells)
+    coefficients = Coefficients.parse(file.to_bytes().decode())
+    Odometer(coefficients)
+    with pytest.raises(CoefficientError, match="expected 'mean' or a file with the scatter of single runs"):
+        Odometer(coefficients, band="prediction")
+    if (compiler := shutil.which("cc")) is None:
+        pytest.skip("no C compiler here")
+    (tmp_path / "odometry.h").write_bytes(export(file, "c")[0].data)
+    (tmp_path / "odometry.c").write_text('#include "odometry.h"\n')
+    for wanted in (0, 1):
+        command = [compiler, f"-DCALIB_PREDICTION_BAND={wanted}", "-fsyntax-only", str(tmp_path / "odometry.c")]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert ("no scatter of single runs" in done.stderr, done.returncode != 0) == (wanted == 1, wanted == 1)
 
 
 def test_what_the_geometry_measured_is_not_assumed(made: Campaign, geometry: Geometry) -> None:

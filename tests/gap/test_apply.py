@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,7 @@ from calib.campaign.model import Campaign
 from calib.coefficients.file import load_coefficients
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
-from calib.gap.apply import applied_model
+from calib.gap.apply import applied_model, on_vehicle
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.library import applied_perturbations, model_of, with_effects
@@ -21,6 +22,7 @@ from calib.gap.effects.quantities import numbered_sessions
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from calib.io import write_bytes
+from calib.odometry.replay import replay
 from calib.plant.design import good_design
 from calib.plant.effects import find
 from calib.plant.make import make_campaign
@@ -212,6 +214,34 @@ def test_an_effect_that_has_nothing_to_act_on_is_said() -> None:
     perturbations, notes = applied_perturbations(s, [section])
     assert perturbations == []
     assert "steering_zero" in notes[0]
+
+
+def test_what_a_vehicle_has_of_the_file_alone_is_said_beside_what_the_effects_add() -> None:
+    """By the replay's own odometry; a scrubbing track is no better by a fixed track and radii, and by its effect is."""
+    rng = np.random.default_rng(2)
+    made = make_campaign(good_design(rng, n_runs=60, needs=find("curve_scrub", "").needs), {"curve_scrub": 2e-2}, rng)
+    found = diagnose_in_full(made, plan=False)
+    assert [cause.effect for cause in found.causes] == ["curve_scrub"]
+    file = applied_model(found, made)
+    by_replay = replay(made, file, rng=rng, runtime_runs=1).rms_m
+    left_out, sizes = on_vehicle(file, found, made)
+    before, alone, whole = (float(text) for text in re.findall(r"([\d.]+) m ", sizes))
+    # three digits are printed
+    assert (before, alone) == pytest.approx((by_replay["model"], by_replay["corrected"]), rel=6e-3)
+    assert found.closure.floor_rms_m is not None and whole < 1.2 * found.closure.floor_rms_m
+    assert "curve_scrub" in left_out and whole < 0.5 * alone
+    assert ("keep those before" in sizes) == (before < 1.05 * alone)
+
+
+def test_a_payload_that_stands_elsewhere_is_entered_there() -> None:
+    """Its loads are wrong, no radius is: the written radii change nothing."""
+    rng = np.random.default_rng(4)
+    form = find("payload_position", "")
+    made = make_campaign(good_design(rng, n_runs=60, needs=form.needs), {"payload_position": 3 * form.typical}, rng)
+    found = diagnose_in_full(made, plan=False)
+    (size,) = next(cause for cause in found.causes if cause.effect == "payload_position").parameters.values()
+    advice = on_vehicle(applied_model(found, made), found, made)[-1]
+    assert advice.startswith("enter payloads as found: further ") and f"{size.value:+.3g} m" in advice
 
 
 def test_without_a_cause_there_is_nothing_to_write() -> None:

@@ -90,6 +90,31 @@ def test_linear_propagation_and_monte_carlo_agree(band: str, dof: float, loads: 
             assert interval.linear[0] <= interval.value <= interval.linear[1]
 
 
+def test_without_a_scatter_of_single_runs_there_is_one_band_and_a_note() -> None:
+    """Radii of a geometry: nothing is drawn for a single run, and the table has no number there."""
+    given = law(residual_m=0.0)
+    under = LawJourneys(AxleLaw(given, 0.7), [(900.0, 300.0)], draws=500)
+    part = simulate("custom", track_m=0.7, under=under, rng=np.random.default_rng(0)).law
+    assert part is not None and [journey.band for journey in part.journeys] == ["mean"]
+    assert np.isnan([row.prediction_left_m for row in part.table]).all()
+    assert sum("scatter of single runs" in note for note in part.notes) == 1
+    # the way's own covariance is that of the law, to the last bits
+    alone = RadiusLaw(given.left, given.right).covariance(single_run=True)
+    np.testing.assert_allclose(alone, given.covariance(), rtol=1e-15, atol=0)
+    at = (300.0, 300.0)
+    with pytest.raises(BadInputError, match="expected one of mean and"):
+        law_journey(
+            given,
+            find_route("corridor"),
+            loads_N=at,
+            reference_N=at,
+            track_m=0.7,
+            band="prediction",
+            draws=500,
+            rng=np.random.default_rng(0),
+        )
+
+
 def test_the_correction_leaves_only_the_scatter() -> None:
     """With it, the expected end is the intended one; without it, the error is that of the ratio of radii."""
     given = law()

@@ -310,10 +310,8 @@ def headline(diagnosis: Diagnosis) -> PaperHeadline | None:
     here = f"this campaign: {_metres(before)} m to {_metres(after)} m"
     if campaign.ratio is not None:
         here += f", {campaign.ratio:.3g} times smaller" if campaign.ratio >= SMALLER else ", hardly smaller"
-    wanted = diagnosis.fix.corrects
-    named = (cause.effect for cause in diagnosis.causes if wanted is None or cause.effect in wanted)
-    beside = ", ".join(name for name in named if name != effect)
-    here += f", {beside} corrected too" if beside else ""
+    beside = ", ".join(cause.effect for cause in diagnosis.causes if cause.effect != effect)
+    here += f", with {beside}" if beside else ""
     here += "" if sole else ", if the load is the cause"
     printed = paper_headline()
     text = (

@@ -226,6 +226,12 @@ def test_the_headline_of_a_confounded_load_effect_is_conditional() -> None:
     assert "if the load is the cause" in beside.sentence
 
 
+def test_the_headline_names_what_is_corrected_beside_the_load() -> None:
+    verdict = _load("load_radius")
+    beside = headline(replace(verdict, causes=(*verdict.causes, replace(verdict.causes[0], effect="track_width"))))
+    assert beside is not None and "22 times smaller, with track_width." in beside.sentence
+
+
 def test_other_causes_and_diagnoses_without_closure_have_no_headline() -> None:
     assert headline(_load("temperature_radius")) is None
     assert headline(_load("load_radius", before=None)) is None
