@@ -11,12 +11,11 @@ from calib.coefficients.build import Header, PoseNoise, from_law, joint_section,
 from calib.coefficients.file import OF_INSTRUMENTS, CoefficientFile, believed_model, effects_left_out
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
-from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, VerdictKind
+from calib.gap.decision.diagnosis import BY_SIMULATOR, Diagnosis, VerdictKind
 from calib.gap.decision.held_out import end_rms_m
 from calib.gap.decision.sentences import SMALLER
 from calib.gap.effects.encoder import EncoderBlunder
 from calib.gap.effects.library import effect_class, section_of, with_effects
-from calib.gap.inference.fit import Fitted
 from calib.gap.predict import measured_gap, predict
 from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
@@ -37,7 +36,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         )
     fitted, observations = diagnosis.correction.at_end(), diagnosis.observations
     model = observations.model
-    slopes, sections = _slopes_and_sections(fitted, diagnosis.corrected_causes)
+    slopes, sections = _slopes_and_sections(diagnosis)
     # change of `JOINT` by what was fitted: the calibration's four first
     by_fitted = np.zeros((len(JOINT), len(fitted.covariance)))
     by_fitted[4, 2] = model.track_m
@@ -88,9 +87,8 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     return file.changed(joint_geometry=together)
 
 
-def _slopes_and_sections(
-    fitted: Fitted, causes: Sequence[Cause]
-) -> tuple[dict[str, tuple[float, int]], list[EffectSection]]:
+def _slopes_and_sections(diagnosis: Diagnosis) -> tuple[dict[str, tuple[float, int]], list[EffectSection]]:
+    fitted, causes = diagnosis.correction.at_end(), diagnosis.corrected_causes
     named = {cause.effect for cause in causes}
     slopes: dict[str, tuple[float, int]] = {}
     sections: list[EffectSection] = []
