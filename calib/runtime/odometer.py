@@ -47,7 +47,7 @@ _TEXTS = {
     Status.JUMP: "counts moved further than a plausible step",
     Status.STALE: "too long since the last good sample",
     Status.TIME_BACKWARDS: "time did not advance",
-    Status.BAD_ARGUMENT: "not a number, or not a name of the load table",
+    Status.BAD_ARGUMENT: "no number, no name of the load table, or a payload without its place",
     Status.WHEEL_LIFTS: "a wheel would lift under this payload",
     Status.OVERLOAD: "a wheel would carry more than is permitted",
 }
