@@ -59,7 +59,6 @@ def _kept(path: Path, sha256: str) -> ReadLog | None:
 
 
 def _keep(path: Path, log: ReadLog) -> None:
-    """Keep a log at `path`, whole or not at all; it is read again where that fails."""
     data = io.BytesIO()
     notes = np.asarray([astuple(note) for note in log.notes], dtype=np.str_)
     np.savez(data, names=list(log.columns), values=np.stack(list(log.columns.values())), notes=notes)

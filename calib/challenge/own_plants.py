@@ -236,7 +236,6 @@ def _absorbed(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
 
 
 def _along_and_across(diagnosis: Diagnosis, change: FloatArray) -> FloatArray:
-    """Turn x and y of a change (n_units, 6) into the frame of the noise, NaN where not measured."""
     turned = change.copy()
     turned[:, 1], turned[:, 2] = diagnosis.nominal.to_end_frame(change[:, 1], change[:, 2])
     return np.where(diagnosis.observations.usable, turned, np.nan)

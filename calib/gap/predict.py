@@ -267,7 +267,6 @@ def signature(path: Path, perturbation: Perturbation) -> FloatArray:
 
 
 def _delay_rates(path: Path) -> FloatArray:
-    """Return way along and turn per second of a delay, over `DELAY_STEP_S` beyond the path's own, shape (n_obs, 2)."""
 
     def rates(part: Path) -> FloatArray:
         own = part.perturbation.delay_s

@@ -195,7 +195,6 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
 
 
 def _turned_round(fitted: Fitted) -> Fitted | None:
-    """Return a start with the sensor turned by half a turn where all lengths came out negative: the same motion."""
     names, values = np.array(fitted.parameters.names), fitted.solution.values
     lengths = np.char.endswith(names, "_m") | np.char.startswith(names, "slope")
     if (values[lengths & ~np.char.startswith(names, "sensor")] > 0.0).any():

@@ -230,7 +230,6 @@ def _geared(code: str, text: str, change: Callable[[OfArray], Change], scale: in
 
 
 def _sides(n_wheels: int) -> list[tuple[str, BoolArray]]:
-    """Return each choice of wheels with its name, shape (n_wheels, 1); only all of other than two."""
     names = {"both wheels": [[1], [1]], "the left wheel": [[1], [0]], "the right wheel": [[0], [1]]}
     names = names if n_wheels == 2 else {"the wheels": [[1]]}
     return [(name, np.array(which, dtype=np.bool_)) for name, which in names.items()]

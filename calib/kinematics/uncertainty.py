@@ -65,7 +65,6 @@ STEEPNESS: Final = np.concatenate([-np.logspace(2.0, -1.0, 13), [0.0], np.logspa
 
 
 def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
-    """Return orthonormal cosines over n blocks, the slowest first, and their squared frequencies."""
     number = np.arange(1.0, min(round(COSINES * n ** (2.0 / 3.0)), n - 1) + 1.0)
     waves = np.sqrt(2.0 / n) * np.cos(np.pi * np.outer(number, (np.arange(n) + 0.5) / n))
     return waves, 4.0 * np.square(np.sin(0.5 * np.pi * number / n))

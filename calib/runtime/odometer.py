@@ -322,7 +322,6 @@ class Odometer:
         self._distance += abs(s)
 
     def _reading(self) -> list[float]:
-        """Return the covariance (xx, xy, xt, yy, yt, tt) of one reading of each encoder."""
         if self._counts is None:
             return [0.0] * 6
         c = self.coefficients

@@ -174,7 +174,6 @@ _REAR_SHARE: Final = (0.2, 1.05)
 
 
 def _allowed(total: FloatArray) -> FloatArray:
-    """Return the tolerance of loads, in N: the payload's place is known to centimetres."""
     return np.asarray(np.maximum(15.0, 0.05 * np.abs(total)))
 
 

@@ -216,7 +216,6 @@ def turned_frame(campaign: Campaign) -> Iterator[Note]:
 
 
 def _aside_rad(campaign: Campaign) -> tuple[IntArray, FloatArray]:
-    """Return numbers of nearly straight runs, and the angle by which they end to the left of their heading."""
     runs, offset, turned, counted = _bows(campaign)
     return runs, 2.0 * (offset - turned - counted) / campaign.runs.number("distance_m")[runs]
 

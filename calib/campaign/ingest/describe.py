@@ -191,7 +191,6 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
 
 
 def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> list[str]:
-    """Return the sections of vehicle and instruments, each key a remark; `bits`: the counters' width if it shows."""
     turned = [line for line in own if line.startswith("counts_")]
     wheels = next((name for name in _OTHER_WHEELS if name in named and "counts_left" not in named), "")
     drives = '#drive =   # "tricycle" (assumed), "differential", "mecanum", "ackermann", "skid"'

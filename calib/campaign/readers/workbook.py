@@ -138,7 +138,6 @@ def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: st
 
 
 def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, *, across: bool) -> list[Note]:
-    """Fill cells merged over rows with their first, in place; `across`: over columns, but for titles."""
     from openpyxl.utils import column_index_from_string
 
     n_filled = 0

@@ -162,7 +162,6 @@ def _absorbing(evidence: Evidence, contribution: FloatArray, within: float) -> d
 
 
 def _undetected(evidence: Evidence) -> FloatArray:
-    """Return the recalibration, whitened: what is not off varies by what does not show alone."""
     columns = evidence.per_unit @ DIRECTIONS.T
     limits = SEPARATION_SD / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     off = [name in evidence.calibration for name in NAMES]

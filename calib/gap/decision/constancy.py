@@ -220,7 +220,6 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
 
 
 def _beside(evidence: Evidence, fit: HeldOutFit) -> Iterator[FloatArray]:
-    """Yield the columns (n_rows, p) of each form that may act beside the named effects."""
     search, order = evidence.search, fit.weighting.system.blocks.order
     probability = dict(zip(search.models, search.probabilities, strict=True))
     least = probability.get(search.effects, 0.0) * np.exp(-LOG_EVIDENCE_WINDOW)

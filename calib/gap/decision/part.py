@@ -136,7 +136,6 @@ def _others_at_zero(evidence: Evidence, names: Collection[str]) -> bool:
 
 
 def _relative(fitted: Fitted) -> tuple[FloatArray, FloatArray]:
-    """Return the size of each calibration parameter, shape (3,), and their covariance, (3, 3)."""
     return OF_WHEELS @ fitted.calibration[:3], OF_WHEELS @ fitted.covariance[:3, :3] @ OF_WHEELS.T
 
 

@@ -227,7 +227,6 @@ def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
 
 
 def _bend_rad(observations: Observations) -> FloatArray:
-    """Return the steering angle of the bend at each step, shape (n_steps,); NaN where the vehicle hardly moves."""
     # from each start on: squares over many runs would leave nothing of a difference
     turn, path = observations.cumulative(observations.turn_rad), observations.cumulative(observations.path_m)
     way = np.cumsum(np.abs(observations.path_m))
@@ -255,7 +254,6 @@ def _bend_rad(observations: Observations) -> FloatArray:
 
 
 def _side_by_side(observations: Observations) -> tuple[IntArray, IntArray]:
-    """Return the steps of all units side by side, shape (longest, n_units), the last repeated; each step's row."""
     rows = np.arange(int(observations.lengths.max()))[:, None]
     index = np.minimum(observations.starts[:-1] + rows, observations.starts[1:] - 1)
     return index, np.arange(len(observations.unit)) - observations.starts[observations.unit]

@@ -322,7 +322,6 @@ class Understeer(Effect):
 
 
 def _front_excess(observations: Observations, travel_m: FloatArray) -> Perturbation:
-    """Return the perturbation by excess travel of the front wheel (n_steps,), along its direction."""
     turn = travel_m * observations.steer_sin / observations.vehicle.wheelbase_m
     return excess(observations, travel_m * observations.steer_cos, turn)
 

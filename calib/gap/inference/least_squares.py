@@ -66,7 +66,6 @@ class Weighting:
         return np.asarray(1.0 + _ROUNDING * (1.0 + (own**2).sum(axis=2)))
 
     def _products(self, columns: FloatArray, on: FloatArray | None = None) -> FloatArray:
-        """Return X^T V^-1 X, X (n_rows, p), V of the blocks' own columns; `on` (n_rows,): 1 where used."""
         blocks, products = self.system.blocks, np.zeros((columns.shape[1],) * 2)
         for group, own in enumerate(self.own):
             part = blocks.alike_rows(columns, group)

@@ -124,7 +124,6 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
 
 
 def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) -> FloatArray:
-    """Return the log evidence (n_scales, n_models) of models' columns, see `FormPriors.index`."""
     if index.shape[1] == 0:
         return log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
     there = index >= 0

@@ -241,7 +241,6 @@ class _WeighedModels:
 
 
 def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _WeighedModels:
-    """Weigh the models about the best ones, likely ones with which calibration parameters must be off."""
     models, weight = local.posterior()
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]

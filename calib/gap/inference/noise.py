@@ -258,7 +258,6 @@ def window_growth(path: Path) -> WindowGrowth | None:
 
 
 def _chains(path: Path) -> list[tuple[int, int]]:
-    """Return stretches (first, behind the last) of windows in a row with a measured pose."""
     observations = path.s
     posed = np.asarray(observations.usable[:, POSE_CHANNELS].all(axis=1))
     follows = (np.diff(observations.run) == 0) & (np.diff(observations.window) == 1)

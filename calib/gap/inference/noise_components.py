@@ -60,7 +60,6 @@ def kernels(path: Path) -> FloatArray:
 
 
 def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArray]]:
-    """Return what a turn and a way of 1 at each step do to each end channel, (n_steps,)."""
     observations, steps = path.s, path.steps
     unit = observations.unit
     c, s = np.cos(path.frame)[unit], np.sin(path.frame)[unit]
@@ -273,7 +272,6 @@ def load_speed_trends(path: Path) -> FloatArray:
 
 
 def _on_radii(path: Path, columns: Sequence[Column]) -> FloatArray:
-    """Return a hundredth of columns on the radius of the wheels named, (n_units, 6, k)."""
     pushed = [path.calibration[:, :, k] * column[:, None] * STEP for column, wheels in columns for k in wheels]
     stacked = np.stack(pushed, axis=2) if pushed else np.zeros((len(path.s), 6, 0))
     return np.where(path.s.usable[:, :, None], stacked, 0.0)

@@ -145,7 +145,6 @@ def scale_gains(
 
 
 def _columns(local: LocalSearch, model: Model, scale: int) -> FloatArray:
-    """Return columns (n_rows, q) of a model and its nuisances at a scale, to unit prior variance."""
     system, sums = local.system, local.sums
     weighting = Weighting.from_component(system, int(sums.kind[scale]), float(sums.scale[scale]), local.deviations)
     parts = [system.calibration, weighting.common]

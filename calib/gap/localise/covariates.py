@@ -212,7 +212,6 @@ def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Gen
 
 
 def _products(nominal: Path, noise: Noise, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return whitened products of left, right travel and gap (n_units, 3, 3), and rows of units."""
     usable = nominal.s.usable
     columns = np.concatenate([nominal.calibration[:, :, :2] * CALIBRATION_SD[:2], gap[:, :, None]], axis=2)
     white = whitened_rows(nominal, noise, columns)

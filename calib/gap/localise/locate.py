@@ -264,7 +264,6 @@ def compare_windows(traces: list[Trace]) -> list[PlaceResult]:
 
 
 def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
-    """Return gains of windows of a metre, by field of a trace, and their runs, (n_windows,)."""
     edges = [edges_along(trace.way_m, float(trace.way_m[-1]) / WINDOW_LENGTH_M) for trace in traces]
     gained = {
         name: np.concatenate([np.diff(getattr(trace, name)[at]) for trace, at in zip(traces, edges, strict=True)])
@@ -292,7 +291,6 @@ def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what
 
 
 def _slope(design: FloatArray, gap: FloatArray, run: IntArray) -> tuple[float, float, float]:
-    """Return the second coefficient of a regression (n, 2), its error and dof, clustered by run if runs suffice."""
     gram = np.linalg.inv(design.T @ design + 1e-12 * np.eye(2))
     beta = gram @ (design.T @ gap)
     left = gap - design @ beta

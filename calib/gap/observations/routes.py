@@ -145,7 +145,6 @@ def lane_names(kind: StrArray) -> StrArray:
 
 
 def _measured_speed(driven: WheelTravel) -> FloatArray:
-    """Return mean speeds over the way by logs, else NaN, (n_obs,): standing weighs nothing."""
     way_m = driven.rolled_m
     with np.errstate(divide="ignore", invalid="ignore"):
         pace = np.where(driven.duration_s > 0, way_m**2 / driven.duration_s, 0.0)

@@ -212,7 +212,6 @@ def _log(campaign: Campaign, run: PlannedRun, measured: Measured, dimensions: Di
 def _wheel_counts(
     campaign: Campaign, distance_m: FloatArray, heading_rad: FloatArray, loads_N: tuple[float, float], *, front: bool
 ) -> dict[str, FloatArray]:
-    """Return the log columns (n,) of the wheels that the vehicle counts; `front`: the front wheel too."""
     if not without_rear_wheels(campaign):
         half_m = 0.5 * campaign.model.track_m * heading_rad
         sides = _both_sides(campaign.encoder, distance_m, half_m, radii_of_model(campaign.model, *loads_N))

@@ -58,14 +58,12 @@ class Spread:
 
 
 def _levers(way: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the end pose's change by a turn at poses (n, 3), in its own frame, (n, 3)."""
     dx, dy = end[0] - way[:, 0], end[1] - way[:, 1]
     c, s = math.cos(end[2]), math.sin(end[2])
     return np.column_stack((-c * dy + s * dx, s * dy + c * dx, np.ones(len(way))))
 
 
 def _directions(heading: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the end pose's change by a metre in headings (n,), in its own frame, (n, 3)."""
     return np.column_stack((np.cos(heading - end[2]), np.sin(heading - end[2]), np.zeros(len(heading))))
 
 
