@@ -82,6 +82,9 @@ def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:
 
 GRAVITY_MPS2: Final = 9.81
 
+#: way that a radian of turning counts as in the random walks of a pose, a hand's width: a turn on the spot slips too
+WAY_PER_RAD_M: Final = 0.1
+
 #: suffix as calib writes it -> suffixes as labs write it, each with its factor
 _FACTORS: Final[dict[str, dict[str, float]]] = {
     "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "ft": 0.3048, "in": 0.0254},

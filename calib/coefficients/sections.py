@@ -357,7 +357,10 @@ class VehicleSection(Section):
 
 
 class NoiseSection(Section):
-    """Random part of the pose's covariance: random walk per square root of metre, and one encoder reading."""
+    """Random part of the pose's covariance: random walk per square root of metre, and one encoder reading.
+
+    A radian of turning counts as 0.1 m of way.
+    """
 
     along: LengthPerRootMetre
     heading: HeadingPerRootMetre

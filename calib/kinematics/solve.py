@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.kinematics.drives import Parameters, Path
 from calib.kinematics.model import Model, Prediction, Segments
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray, IntArray
 
 #: variances that make up the covariance of a displacement: of position and heading by the reference (m^2, rad^2),
 #: of the random walks of heading and of distance (rad^2/m, m^2/m)
@@ -49,8 +49,7 @@ def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) ->
 def _walks(path: Path, body: FloatArray, segments: Segments) -> FloatArray:
     """Return end pose covariances, in the path's frame, of unit walks of heading and distance: (2, n, 3, 3)."""
     x, y, theta = path.pose
-    # a turn on the spot makes noise too: a radian counts as a metre of a hand's width
-    weight = np.hypot(body[0], body[1]) + 0.1 * np.abs(body[2])
+    weight = np.hypot(body[0], body[1]) + WAY_PER_RAD_M * np.abs(body[2])
     first, last, between = segments.first, segments.last, segments.between
     zero = between(weight)
     dx, dy = x[last] - x[first], y[last] - y[first]

@@ -12,7 +12,7 @@ from calib.campaign.settings import Reference
 from calib.errors import BadFileError, BadInputError
 from calib.io import write_text
 from calib.radius.law import JOINT
-from calib.types import FloatArray, floats
+from calib.types import WAY_PER_RAD_M, FloatArray, floats
 
 #: what a pose is made of
 POSE: Final = ("x_m", "y_m", "theta_rad")
@@ -233,7 +233,8 @@ def jacobian(
 class RandomWalk:
     """Random part of the pose's error."""
 
-    #: standard deviation of distance and heading after one metre; they grow with its square root
+    #: standard deviation of distance and heading after one metre, turns counted in by `WAY_PER_RAD_M`; they grow with
+    #: its square root
     sigma_along_m_per_sqrt_m: float = 0.0
     sigma_heading_rad_per_sqrt_m: float = 0.0
     count_std: float = 0.0  #: standard uncertainty of one encoder reading in counts
@@ -247,7 +248,8 @@ class RandomWalk:
         A heading error in a step moves every later point about that step's centre: running sums over noise, times
         centre and times its squares.
         """
-        distance = np.abs(0.5 * (path.left_m + path.right_m))
+        turn = (path.right_m - path.left_m) / path.track_m
+        distance = np.abs(0.5 * (path.left_m + path.right_m)) + WAY_PER_RAD_M * np.abs(turn)
         x, y = path.poses.x_m, path.poses.y_m
         centre = np.stack([y + path.by_turn[0], path.by_turn[1] - x, np.ones_like(x)])
         to_end = np.zeros((*x.shape, 3, 3)) + np.eye(3)

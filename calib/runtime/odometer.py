@@ -7,7 +7,8 @@ Covariance. P = J C J' + R + Q, where
 
 - J (3 x 5) is the derivative of the pose by (radius_ref_l, slope_l, radius_ref_r, slope_r, b), carried along the path
   by J <- F J + G, F and G the derivatives of a step by pose and by parameter; C is the covariance of laws and track.
-- R <- F R F' + |s| (along^2 a a' + heading^2 h h'), a and h the derivatives of a step by s and by d: a random walk.
+- R <- F R F' + (|s| + 0.1 m |d|) (along^2 a a' + heading^2 h h'), a and h the derivatives of a step by s and by d: a
+  random walk, also of a turn on the spot.
 - Q: the uncertainty of one reading of each encoder, once at the first sample (carried along in R) and once at the last.
 
 Faults. A refused sample changes nothing: the next is measured against the last good counts. A fault thus lasts until a
@@ -22,6 +23,9 @@ from pathlib import Path
 from .coefficients import CoefficientError, Coefficients, WheelCoefficients  # noqa: TID252 the folder may be renamed
 
 __all__ = ["Odometer", "OdometerFault", "Pose", "Status"]
+
+#: way that a radian of turning counts as in the random walk, as in the estimate of its size
+_WAY_PER_RAD_M = 0.1
 
 
 class Status(enum.IntEnum):
@@ -307,7 +311,8 @@ class Odometer:
             jt[p] += rate_d
 
         xx, xy, xt, yy, yt, tt = self._random
-        along, heading = c.along_m_per_sqrt_m**2 * abs(s), c.heading_rad_per_sqrt_m**2 * abs(s)
+        way = abs(s) + _WAY_PER_RAD_M * abs(d)
+        along, heading = c.along_m_per_sqrt_m**2 * way, c.heading_rad_per_sqrt_m**2 * way
         self._random = [
             xx - 2.0 * dy * xt + dy * dy * tt + along * by_s[0] ** 2 + heading * by_d[0] ** 2,
             xy + dx * xt - dy * yt - dx * dy * tt + along * by_s[0] * by_s[1] + heading * by_d[0] * by_d[1],

@@ -65,7 +65,8 @@ def test_a_random_walk_scatters_as_its_covariance_says() -> None:
     walk = RandomWalk(sigma_along_m_per_sqrt_m=2e-3, sigma_heading_rad_per_sqrt_m=3e-3)
     runs = 20_000
     rng = np.random.default_rng(8)
-    root = np.sqrt(np.abs(0.5 * (path.left_m + path.right_m)))
+    turned = np.abs(path.right_m - path.left_m) / TRACK_M
+    root = np.sqrt(np.abs(0.5 * (path.left_m + path.right_m)) + 0.1 * turned)
     along = walk.sigma_along_m_per_sqrt_m * root * rng.standard_normal((runs, len(root)))
     turn = walk.sigma_heading_rad_per_sqrt_m * root * rng.standard_normal((runs, len(root)))
     noisy = end_poses(path.left_m + along - 0.5 * TRACK_M * turn, path.right_m + along + 0.5 * TRACK_M * turn, TRACK_M)

@@ -239,6 +239,33 @@ def test_on_a_straight_the_reading_of_the_encoders_has_its_closed_form(file: Coe
     np.testing.assert_allclose(odometer.covariance, expected, rtol=1e-9, atol=1e-18)
 
 
+def test_the_random_walk_is_that_of_the_estimator_of_its_size(file: CoefficientFile) -> None:
+    """Straights, bends and a turn on the spot: the walks whose sizes `calib geometry` estimates from such stretches."""
+    drives, model, solve = (pytest.importorskip(f"calib.kinematics.{name}") for name in ("drives", "model", "solve"))
+    along, heading, track = 4e-3, 5e-3, 0.7
+    document = file.to_dict()
+    document["encoder"]["counts_per_rev_right"]["value"] = 4096.0
+    document["wheels"]["right"] = document["wheels"]["left"]
+    alike = quiet(file.changed(encoder=document["encoder"], wheels=document["wheels"]), along=along, heading=heading)
+    # ahead, back in a bend, round on the spot, ahead
+    steps = np.repeat([[40, 40], [-30, -50], [-35, 35], [45, 30]], 120, axis=0)
+    left, right = np.cumsum(steps, axis=0).T
+    found = np.array(run(alike, left, right, np.full((len(steps), 2), 300.0)).covariance)
+
+    turned = np.concatenate([np.zeros((1, 2)), steps]).T * 2 * np.pi / 4096
+    vehicle = drives.Differential(0.0990, 0.0990, track, False)
+    motion = vehicle.motion(np.array([0.0990, 0.0990, track]), drives.Steps(turned, None, None, None))
+    ends = np.array([0]), np.array([len(steps)])
+    whole = model.Segments(
+        np.array([0]), *ends, np.zeros((1, 3)), np.ones((1, 3), bool), np.array([0]), np.array([0]), np.array([False])
+    )
+    walks = solve.kernels(drives.integrate_motion(motion), motion.body, whole, 0.0)[2:, 0]
+    expected = heading**2 * walks[0] + along**2 * walks[1]
+    # a step's noise acts at its end there and along its arc here: steps of 1/480 of the path
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=0.01 * np.abs(expected).max(axis=(0, 1)))
+    assert found[2, 2] == pytest.approx(expected[2, 2], rel=1e-9)
+
+
 def test_on_a_winding_path_the_random_walk_is_that_of_simulated_vehicles(file: CoefficientFile) -> None:
     """Monte Carlo over 20,000 vehicles with a step noise of their own."""
     a, h, n, vehicles = 4e-3, 5e-3, 120, 20_000
@@ -253,7 +280,8 @@ def test_on_a_winding_path_the_random_walk_is_that_of_simulated_vehicles(file: C
     random = np.random.default_rng(7)
     s = (travel[0] + travel[1]) / 2
     d = (travel[1] - travel[0]) / 0.7
-    s, d = (value + random.normal(size=(vehicles, n)) * noise * np.sqrt(np.abs(s)) for value, noise in ((s, a), (d, h)))
+    way = np.sqrt(np.abs(s) + 0.1 * np.abs(d))
+    s, d = (value + random.normal(size=(vehicles, n)) * noise * way for value, noise in ((s, a), (d, h)))
     theta = np.cumsum(d, axis=1)
     middle = theta - d / 2
     chord = s * np.sinc(d / 2 / np.pi)

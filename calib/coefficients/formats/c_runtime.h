@@ -7,6 +7,8 @@
 #endif
 
 #define CALIB_TWO_PI 6.283185307179586476925286766559
+/* way that a radian of turning counts as in the random walk */
+#define CALIB_WAY_PER_RAD_M 0.1
 
 typedef enum {
     CALIB_OK = 0,
@@ -263,8 +265,9 @@ static inline void calib_step_(calib_odometer *o, double turn_left, double turn_
     const double d = (travel_right - travel_left) / CALIB_TRACK_M;
     const double u = 0.5 * d, v = u * u;
     const double m = o->theta_rad + u, c = cos(m), n = sin(m);
-    const double walk_s = CALIB_ALONG_M_PER_SQRT_M * CALIB_ALONG_M_PER_SQRT_M * fabs(s);
-    const double walk_d = CALIB_HEADING_RAD_PER_SQRT_M * CALIB_HEADING_RAD_PER_SQRT_M * fabs(s);
+    const double way = fabs(s) + CALIB_WAY_PER_RAD_M * fabs(d);
+    const double walk_s = CALIB_ALONG_M_PER_SQRT_M * CALIB_ALONG_M_PER_SQRT_M * way;
+    const double walk_d = CALIB_HEADING_RAD_PER_SQRT_M * CALIB_HEADING_RAD_PER_SQRT_M * way;
     double sinc, slope, dx, dy, xs, ys, xd, yd;
     double rate_s[5], rate_d[5], old[6];
     int p;

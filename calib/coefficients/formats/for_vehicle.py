@@ -7,8 +7,9 @@ file, which names the joints.
 They hold constant diagonals of the covariance. Pose: after `PATH_M` straight ahead and `TURN_RAD` of turning, the
 mean of left and right turns. An error of the mean radius stretches the path; one that turns the vehicle steadily (the
 radii's difference, a steering zero) bends it: heading L, across L^2 / 2. A random walk of heading with variance h^2 a
-metre adds L h^2 to heading and L^3 h^2 / 3 across. Each encoder is read once at either end; the quantisation of the
-first reading turns all that follows. Twist: at `SPEED_MPS` and `TURN_RATE_RADPS`, taken over `WINDOW_S`.
+metre adds L h^2 to heading and L^3 h^2 / 3 across; turning adds to heading as the way it counts as. Each encoder is
+read once at either end; the quantisation of the first reading turns all that follows. Twist: at `SPEED_MPS` and
+`TURN_RATE_RADPS`, taken over `WINDOW_S`.
 """
 
 import math
@@ -29,7 +30,7 @@ from calib.coefficients.sections import EffectSection, WheelSection
 from calib.documents import csv_text
 from calib.errors import BadInputError, RefusedError
 from calib.radius.law import JOINT, WheelLaw
-from calib.types import FloatArray
+from calib.types import WAY_PER_RAD_M, FloatArray
 
 INT32_MAX: Final = 2**31 - 1
 #: bound of intermediates of the integer form: half of int64_t, so that rounding cannot overflow it
@@ -366,9 +367,9 @@ def _diagonals(
         PATH_M**2 * stretch + PATH_M * along + 2.0 * of_path,
         0.25 * PATH_M**4 * bend + PATH_M**3 / 3.0 * heading + PATH_M**2 * of_heading,
         *UNSEEN,
-        PATH_M**2 * bend + TURN_RAD**2 * turn + PATH_M * heading + 2.0 * of_heading,
+        PATH_M**2 * bend + TURN_RAD**2 * turn + (PATH_M + WAY_PER_RAD_M * TURN_RAD) * heading + 2.0 * of_heading,
     )
-    walked = SPEED_MPS / WINDOW_S
+    walked = (SPEED_MPS + WAY_PER_RAD_M * TURN_RATE_RADPS) / WINDOW_S
     twist = (
         SPEED_MPS**2 * stretch + walked * along + 2.0 * of_path / WINDOW_S**2,
         # lateral speed is taken as zero, its random walk as that of the path
