@@ -213,14 +213,14 @@ def from_geometry(
     vehicle = campaign.vehicle
     law = RadiusLaw(left=_law(geometry, campaign, "left"), right=_law(geometry, campaign, "right"))
     track, track_std, assumed = _track(geometry, campaign)
-    runs = campaign.included().runs
+    runs, walks = campaign.included().runs, geometry.noise_expected
     file = from_law(
         law,
         vehicle,
         campaign.encoder,
         Header(geometry.name, geometry.simulated, outside, created, geometry.inputs),
         load_table=load_points(runs.number("load_left_N"), runs.number("load_right_N")),
-        noise=PoseNoise(track_std, geometry.noise["along_walk"], geometry.noise["heading_walk"], assumed),
+        noise=PoseNoise(track_std, walks["along_walk"], walks["heading_walk"], assumed),
     )
     names = [estimate.name for estimate in geometry.estimates]
     together = joint_section(geometry.drive, geometry.source, geometry.values, names, geometry.covariance)

@@ -21,6 +21,7 @@ from calib.kinematics.blunders import Fault, corrected, still_counters
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, SENSOR, Drive, first_scales, parameters_of
 from calib.kinematics.joint_fit import LONGEST_STEP_S, MEAN_RADIUS, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments, window_segments
+from calib.kinematics.noise_size import noise_sizes
 from calib.kinematics.readings import factor_faults
 from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, RunTrace, Umbmark
@@ -86,6 +87,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         else Umbmark(False, why="squares of a vehicle with two encoders on one axle are needed")
     )
     judgement = judged(campaign, fitted, whole, faults, outliers)
+    noise, expected = noise_sizes(fitted, first_scales(campaign.reference))
     return Geometry(
         name=campaign.name,
         simulated=campaign.simulated,
@@ -101,7 +103,8 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         undetermined=fitted.undetermined,
         held={name: float(value) for name, value in zip(parameters.names, values, strict=True) if name not in stated},
         clusters=(fitted.uncertainty.by, fitted.uncertainty.clusters),
-        noise=dict(zip(COMPONENTS, np.sqrt(solution.scales).tolist(), strict=True)),
+        noise=noise,
+        noise_expected=expected,
         residual_rms=Channels.rms(after.residuals),
         outliers=outliers,
         faults=judgement.faults,

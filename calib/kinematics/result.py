@@ -163,8 +163,9 @@ class Geometry(Result):
     held: Mapping[str, float]
     #: independent: ``run``, ``block``, ``session`` or ``route``, and their number
     clusters: tuple[str, int]
-    #: standard deviations of the noise's components
+    #: standard deviations of the noise's components, and to expect of a further journey: larger of few runs
     noise: Mapping[str, float]
+    noise_expected: Mapping[str, float]
     #: after the calibration
     residual_rms: Channels
     #: beyond the noise
