@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from calib.kinematics.estimate import estimate_geometry
-from calib.kinematics.noise_size import normal_gain
+from calib.kinematics.noise_size import NORMAL_GAIN
 from calib.kinematics.solve import DEGREES
 from tests.kinematics.campaigns import Truth, campaign, mixed
 
@@ -43,7 +43,6 @@ def test_the_noise_to_expect_holds_95_percent_of_what_comes() -> None:
 
 @pytest.mark.parametrize("channels", [1, 2, 3])
 def test_weights_with_their_gain_leave_normal_noise_its_size(channels: int) -> None:
-    squares = np.square(np.random.default_rng(5).normal(size=(400_000, channels))).sum(axis=1)
-    weights = (DEGREES + channels) / (DEGREES + squares) * normal_gain(np.array([channels]))
-    # the mean of 400,000 squares is known to 0.002, and the quadrature to 0.001
-    assert np.mean(weights * squares) == pytest.approx(channels, rel=0.005)
+    mean = chi2(channels).expect(lambda square: (DEGREES + channels) / (DEGREES + square) * square)
+    # five digits are stated
+    assert NORMAL_GAIN[channels] * mean == pytest.approx(channels, rel=5e-5)
