@@ -355,7 +355,6 @@ def sweep(path: Path) -> None:
 
 
 def _abandoned(folder: Path, mark: str) -> list[Path]:
-    """Return the temporary entries of a mark in a folder whose writers on this machine were killed."""
     return [path for path in folder.glob(f"{PREFIX}{mark}-{_mark(platform.node())}-*{SUFFIX}") if _is_dead(path)]
 
 

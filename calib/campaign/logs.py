@@ -75,7 +75,6 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list
 
 
 def _plain_logs(folder: Path) -> dict[str, Path]:
-    """Return the files of ``logs`` to which no link leads, by their names in a run table, in one go."""
     logs = folder.resolve() / "logs"
     with suppress(OSError), os.scandir(logs) as entries:
         if not logs.is_symlink():

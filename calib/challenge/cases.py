@@ -245,7 +245,6 @@ def _weighed(
 
 
 def _framed(spaces: Sequence[_Space], *further: FloatArray) -> tuple[list[int], list[_Space], FloatArray]:
-    """Return the effects present, and their spaces in a frame (n_rows, n), which also holds `further` vectors."""
     present = sorted({space.effect for space in spaces})
     every = [*(space.basis for space in spaces), *(vector[:, None] for vector in further)]
     frame, _ = np.linalg.qr(np.concatenate(every, axis=1))

@@ -210,7 +210,6 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
 
 
 def _between_arcs(reading: FloatArray, perturbation: Perturbation, steps: Steps) -> None:
-    """Move each reading's end (n_obs, n_channels) along its arc, and see it from the end of the start's, in place."""
     place = reading[:, Channel.ALONG] + 1j * reading[:, Channel.LATERAL]
     end_arc, start_arc = perturbation.end_arc, perturbation.start_arc
     if perturbation.delay_s is not None:
@@ -229,7 +228,6 @@ def _between_arcs(reading: FloatArray, perturbation: Perturbation, steps: Steps)
 
 
 def _late_start(start_arc: FloatArray | None, late: FloatArray, follows: BoolArray) -> FloatArray | None:
-    """Return the arcs from the starts (n_obs, 2): those at the end before, shape (n_obs, 2), where windows `follow`."""
     return None if start_arc is None else np.where(follows[:, None], np.roll(late, 1, axis=0), start_arc)
 
 
@@ -279,7 +277,6 @@ def _delay_rates(path: Path) -> FloatArray:
 
 
 def _add_moved(change: FloatArray, path: Path, perturbation: Perturbation) -> None:
-    """Add what turned axes and arcs at the ends change (n_obs, n_channels), to first order, in place."""
     moved = np.zeros(len(change), dtype=np.complex128)
     place = path.reading[:, Channel.ALONG] + 1j * path.reading[:, Channel.LATERAL]
     if perturbation.turned_rad is not None:

@@ -222,7 +222,6 @@ def judged(
 def _harmed(
     run_id: StrArray, before: FloatArray, after: FloatArray, way_m: FloatArray, scatter_m: float, dof: int
 ) -> Iterator[str]:
-    """Yield the run that the result leads further off than calibrated odometry ends, beyond the replicates' scatter."""
     from scipy.special import fdtri
 
     near, left = (np.hypot(*part[:, :2].T) for part in (before, after))

@@ -334,7 +334,6 @@ def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
 
 
 def _sensor_paths(drive: Drive, recording: Recording, values: FloatArray) -> FloatArray:
-    """Return the sensor's pose at each sample since the start of its run, shape (3, n_samples)."""
     run, n = recording.run, len(recording.t_s)
     seen, no_gyro = np.ones((n, 3), dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     segments = Segments(run, recording.offsets[run], np.arange(n), np.zeros((n, 3)), seen, run, 0 * run, no_gyro)

@@ -109,7 +109,6 @@ def sense(segments: "Segments", turn_rad: FloatArray, rolled: FloatArray, far: f
 
 
 def _clear(dof: int) -> float:
-    """Return the estimated standard deviations beyond which chance is no likelier than `CLEAR` known ones."""
     from scipy.special import ndtr, stdtrit
 
     return float(stdtrit(dof, ndtr(CLEAR)))
@@ -333,7 +332,6 @@ def times_fault(recording: "Recording") -> Fault | None:
 
 
 def _spiked(recording: "Recording", side: int) -> list[int]:
-    """Return the samples in which a counter is more than a revolution off, and back in the next."""
     step = recording.steps.turned_rad[side]
     back = np.abs(step[:-1] + step[1:]) < SPIKE_LEFT * np.abs(step[:-1])
     return [int(at) for at in np.flatnonzero(back & (np.abs(step[:-1]) > 2.0 * np.pi))]

@@ -242,7 +242,6 @@ def _without_departure(fit: _Fit) -> Geometry:
 
 
 def _refined(fit: _Fit, departure: Departure, size: float) -> float:
-    """Return the size of a departure that its own estimate settles at, by fits on the same stretches."""
     model, start = fit.fitted.model, fit.fitted
     for _ in range(SIZE_ROUNDS):
         changed = departure.change(model.recording, size)

@@ -277,7 +277,6 @@ def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tup
 
 
 def _along_chord(seen: Sensed, *chord: Sensed) -> Sensed:
-    """Return displacements as seen along a chord, from the first of these to the second, and their derivatives."""
     if not chord:
         return seen
     (way, *by), (begin, *by_begin), (end, *by_end) = (

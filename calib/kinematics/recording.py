@@ -369,7 +369,6 @@ def parts_seen(reference: FloatArray) -> BoolArray:
 
 
 def _last_pose(reference: FloatArray) -> FloatArray:
-    """Return a continuous reference's last pose in the frame of its first, where both stand at the run's ends."""
     seen = parts_seen(reference)
     good = np.flatnonzero(np.isfinite(reference[seen]).all(axis=0))
     if len(good) < 2 or good[0] != 0 or good[-1] != reference.shape[1] - 1:

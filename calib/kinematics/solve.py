@@ -337,7 +337,6 @@ def _pulled(whitener: FloatArray, white: FloatArray) -> FloatArray:
 
 
 def _inverse(whitener: FloatArray) -> FloatArray:
-    """Return inverse covariances, each entry as often as it stands in the whole matrix, shape (6, n)."""
     a, b, c, d, e, f = whitener
     return np.stack([a * a + b * b + d * d, b * c + d * e, c * c + e * e, d * f, e * f, f * f]) * _TIMES
 

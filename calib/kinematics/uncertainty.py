@@ -181,7 +181,6 @@ def flattened(jacobian: FloatArray) -> FloatArray:
 
 
 def _decorrelated(columns: FloatArray, shared: Shared) -> FloatArray:
-    """Return whitened columns, (n, 3, k), times the inverse root of their covariance with a random effect."""
     factor = (1.0 / np.sqrt(1.0 + shared.size) - 1.0) / np.maximum(shared.size, 1e-300)
     sums = np.zeros((len(shared.amount), columns.shape[2]))
     np.add.at(sums, shared.group, np.einsum("ni,nik->nk", shared.change, columns))

@@ -148,7 +148,6 @@ def replay(
 def _driven(
     campaign: Campaign, coefficients: CoefficientFile, carried_N: tuple[FloatArray, FloatArray], scheme: str
 ) -> tuple[dict[str, Poses], FloatArray]:
-    """Return the end poses by each of `METHODS`, and the distance by the last, under the loads of the steps."""
     offsets, columns, law = campaign.logs.offsets, campaign.logs.columns, coefficients.law
     if without_rear_wheels(campaign):
         calibrated = believed_model(coefficients, campaign.model.reference_load_N)

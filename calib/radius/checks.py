@@ -94,7 +94,6 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
 
 
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
-    """Return what load of others would explain what is furthest off the line; else empty."""
     fit, n = runs.fit, len(runs.x)
     if fit.design in {"constant", "confounded"}:
         return ""

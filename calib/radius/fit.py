@@ -370,7 +370,6 @@ def _other_reading(radii: EffectiveRadii) -> str:
 
 
 def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[FloatArray]:
-    """Return each run's option of `pairs`, counted from 1, if radii rise or fall with the loads."""
     order = np.argsort(loads.sum(axis=1))
     nearest = 1.0 + np.argmin(np.abs(pairs[:, None] - loads[order]).sum(axis=2), axis=0)
     rank = np.argsort(np.argsort(radius.sum(axis=1)))

@@ -258,7 +258,6 @@ def _number(
 
 
 def _checksum(document: dict[str, Any]) -> str:
-    """Return the SHA-256 of the rest, keys sorted, numbers as shortest doubles."""
     body = {key: value for key, value in document.items() if key != "checksum"}
     text = json.dumps(_doubles(body), sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return "sha256:" + hashlib.sha256(text.encode("ascii")).hexdigest()

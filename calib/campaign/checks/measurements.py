@@ -235,7 +235,6 @@ def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
 
 
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
-    """Find a few loads (of both wheels, or NaN) far from the others' line against the payload, by median slopes."""
     payload = campaign.runs.number("payload_kg")
     runs = np.flatnonzero(np.isfinite(total + payload))
     if len(runs) < _LEAST_OF_A_LINE:

@@ -76,14 +76,12 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
 
 
 def _longer(campaign: Campaign, most: float) -> FloatArray:
-    """Return by how much distances of nearly straight runs exceed those of the end poses by up to `most`, else NaN."""
     runs = campaign.runs
     distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
     return np.where(_straight(campaign) & (np.abs(distance - away) < most * away), distance - away, np.nan)
 
 
 def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[tuple[str, int, float, float]]:
-    """Yield where a median (of how many, with its error) exceeds what is allowed, in all sessions or single ones."""
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < _LEAST_STRAIGHT_RUNS:
         return

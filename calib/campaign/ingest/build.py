@@ -190,7 +190,6 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
 
 
 def _with_reference_load(work: _Ingestion, runs: RunTable) -> OdometryModel:
-    """Return the model, its radii at the mean load measured where neither that load nor a mass was given."""
     settings, loads = work.settings, np.stack([runs.number(name) for name in WHEEL_LOADS])
     model, known = settings.model, loads[np.isfinite(loads)]
     assumed = model.reference_load_N == settings.vehicle.unladen_load_N and "vehicle.mass_kg" in settings.assumed

@@ -178,7 +178,6 @@ def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
 def _unwrapped(
     recording: Recording, lines: Lines, base: Stream, bits: int | None, shown: str, border: Border
 ) -> tuple[Recording, int | None]:
-    """Undo turns of the heading and overflows of other streams, before interpolation."""
     counters = {one.column for name, one in lines.items() if name.startswith("counts_") and one.wheel_unit == "counts"}
     streams = []
     for stream in recording.streams:

@@ -151,7 +151,6 @@ def apart_on(
 
 
 def _absorbing(evidence: Evidence, contribution: FloatArray, within: float) -> dict[str, float]:
-    """Return the recalibration parameters that absorb a contribution (n_rows,), and what they leave."""
     left = Nuisance.of(evidence.system.calibration).scalar(contribution[:, None], contribution[:, None])[0, 0]
     if not (left < within**2 and contribution @ contribution > SEPARATION_SD**2):
         return {}
@@ -216,8 +215,6 @@ def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Correction:
-    """A recalibration, shape (4,), and forms with their sizes."""
-
     calibration: FloatArray
     forms: Sequence[Form]
     theta: Sequence[FloatArray]

@@ -107,7 +107,6 @@ def decide(evidence: Evidence) -> Diagnosis:
 
 
 def _of_sound_data(fix: Fix, situation: Situation, causes: Sequence[Cause]) -> Fix:
-    """Return a fix, not recommended where its sizes follow data that cannot be."""
     wrong = _wrong_data(situation, causes)
     why = (f"sizes follow {note.where}, which cannot be as stated: correct this first" for note in wrong)
     return replace(fix, recommended=fix.recommended and not wrong, why=(*why, *fix.why))

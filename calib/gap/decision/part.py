@@ -128,7 +128,6 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
 
 
 def _others_at_zero(evidence: Evidence, names: Collection[str]) -> bool:
-    """Return whether what a fix of named effects leaves of radii and track as they are is zero in the fit of all."""
     values, covariance = _relative(evidence.fitted)
     moved = _moved_by(evidence, names)
     held = [k for k, name in enumerate(NAMES) if name not in moved]
@@ -155,7 +154,6 @@ def _moved_by(evidence: Evidence, names: Collection[str]) -> set[str]:
 def _tried(
     evidence: Evidence, names: Collection[str], stepping: Collection[str], acting: Collection[str]
 ) -> tuple[Fitted, Improvement, tuple[Trial, ...], tuple[str, ...]]:
-    """Return the fit of causes beside session steps, its effect on held-out runs, and in words where that is worse."""
     forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
     along = _along(evidence, acting)
     fitted = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)
@@ -171,7 +169,6 @@ def _tried(
 
 
 def _worse_sessions(evidence: Evidence, left_out: HeldOutFit, before: FloatArray, alone: FloatArray) -> list[str]:
-    """Return which sessions a fix alone leaves further off, beyond noise, the worst first."""
     observations, found = evidence.observations, []
     squares = [left_out.squares(gap) for gap in (before, alone)]
     for session in np.unique(observations.labels["session"]):

@@ -84,7 +84,6 @@ def _unsupported(diagnosis: Diagnosis) -> str:
 
 
 def _but_single_runs(diagnosis: Diagnosis) -> str:
-    """Return, as the end of a clause, the runs beyond the reach of noise of so many readings."""
     reach = reach_of_noise(diagnosis.noise_level.dof, sum(line.n_units for line in diagnosis.where.channels))
     off = [
         f"{run.name} ({run.channel.label} {1e3 * run.value:+.3g} m{run.channel.unit})"
@@ -249,7 +248,6 @@ def _place(line: PlaceResult) -> str:
 
 
 def _channels(diagnosis: Diagnosis) -> str:
-    """Return the gap of channels above the noise level, else of the one nearest to it, without and with causes."""
     closure, named = diagnosis.closure, bool(diagnosis.causes)
 
     def moved(line: ChannelClosure) -> float:

@@ -75,7 +75,6 @@ class WheelEccentricity(Effect):
 def _eccentric(
     s: Observations, angle: FloatArray, roll: FloatArray, radius_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the relative change of each step's travel (n_steps,) per metre of e cos(phi_0) and of e sin(phi_0)."""
     middle, half = angle - 0.5 * roll, 0.5 * roll
     # sin(a) - sin(b) = 2 cos(middle) sin(half), so the quotient by the roll stays finite at rest
     share = np.where(s.from_log[s.unit], np.sinc(half / np.pi), 0.0) / radius_m[s.unit]

@@ -175,7 +175,6 @@ def _cells(
 def _grid(
     observations: Observations, lane: IntArray, x: FloatArray, y: FloatArray, cosine: FloatArray, shift: float
 ) -> list[tuple[float, tuple[int, float, float, bool]]]:
-    """Return (how much the cell tells runs apart, cell) on the grid whose columns are shifted by `shift` cells."""
     way = np.where(observations.from_log[observations.unit], np.abs(observations.path_m), 0.0)
     column = np.floor(x / CELL_M + 0.5 - shift).astype(np.int64)
     row = np.floor(y / CELL_M + 0.5).astype(np.int64)

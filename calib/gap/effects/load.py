@@ -48,7 +48,6 @@ def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
 
 
 def _shown_by(path: Path, others: BoolArray) -> FloatArray:
-    """Return the slopes that the hypothesis gives some observations (n_obs,), shape (2,); 0 for none."""
 
     def slope(rolled: FloatArray, load: FloatArray) -> float:
         good = others & np.isfinite(rolled) & np.isfinite(load)
@@ -79,7 +78,6 @@ class _OfLoad(Effect):
 def _on_radii(
     observations: Observations, left_m: FloatArray, right_m: FloatArray, *, is_law: bool = False
 ) -> Perturbations:
-    """Return what changes of both radii, (n_obs,) or (n_steps,), do, per unit each; `is_law`: as slopes."""
     loads_N = observations.loads_N
     radii_m = observations.radii_m(loads_N if loads_N.shape[1] == len(left_m) else observations.wheel_loads_N)
     left, right = np.stack([left_m, right_m]) / radii_m
@@ -201,7 +199,6 @@ class LoadCreep(_OfLoad):
 
 
 def _load_before_N(loads: FloatArray, first: float, same_N: float) -> FloatArray:
-    """Return the first wheel's load before the present payload, (n_obs,); `loads`: (2, n_obs), in the order driven."""
     new = np.append(True, (np.abs(np.diff(loads)) > same_N).any(axis=0))
     block = np.cumsum(new) - 1
     of_block = loads[0, new]

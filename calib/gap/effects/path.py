@@ -84,7 +84,6 @@ def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray
 
 
 def _weave_of_logs(observations: Observations) -> FloatArray:
-    """Return by which share the logged path is longer than its line, 0 on routes that turn, shape (n_obs,)."""
     path = predict(observations)
     with np.errstate(divide="ignore", invalid="ignore"):
         excess = path.of_parts(lambda part: part.s.total(np.abs(part.steps.ds_m))) / np.abs(path.line_m) - 1.0

@@ -192,7 +192,6 @@ def standstill_mps(observations: Observations) -> FloatArray:
 def _carried_on(
     observations: Observations, steps: FloatArray, back: FloatArray, late: BoolArray, early: BoolArray
 ) -> FloatArray:
-    """Return a step quantity's rate carried on to the end, never past zero, shape (n_obs,)."""
     rate, age = [], []
     for part in (late, early):
         time = np.where(part, np.nan_to_num(observations.duration_s), 0.0)

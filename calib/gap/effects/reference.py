@@ -127,7 +127,6 @@ class ReferenceLeverArm(Effect):
 
 
 def _off_course(path: Path, error: FloatArray, beside_m: complex = 0.0) -> Perturbation:
-    """Return what errors (n_obs, 2) of headings at start and end, taken from the course, do, and a place beside."""
     c, sn = path.frame_turned
     # the stated place turns with them
     moved = np.asarray(1j * complex(*path.s.sensor_m) * ((c + 1j * sn) * error[:, 1] - error[:, 0]), np.complex128)
@@ -138,7 +137,6 @@ def _off_course(path: Path, error: FloatArray, beside_m: complex = 0.0) -> Pertu
 
 
 def _read_at(path: Path, place_m: complex) -> tuple[FloatArray, FloatArray]:
-    """Return along and lateral (n_obs,), m, of what a place on the vehicle (x + i y) moves beside its origin."""
     # a heading from the course is off by what the place itself does to it
     heading = np.where(path.s.course_error.any(axis=(1, 2)), path.end[:, 2], path.frame)
     moved = np.asarray((np.exp(1j * heading) - 1.0) * place_m, np.complex128)
@@ -386,7 +384,6 @@ def find_turned(nominal: Path) -> TurnedReference | None:
 
 
 def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[complex, float]:
-    """Return the factor that turns ends into those seen, and the squares left, m^2, beside a place on the vehicle."""
     # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
     columns, prior = np.stack([end, turned], axis=1), np.diag([1e-9, 1e-3])
     turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)

@@ -92,8 +92,6 @@ class SimulatorParameter(Effect):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Basis:
-    """Numbers by which wheels are off, in all runs (one group) or in each, as columns about a path, and inverse."""
-
     wheels: FloatArray  #: relative change of left, right and track by each number, shape (n_obs, 3, k)
     columns: FloatArray  #: weighted readings by each number, shape (n_groups, n_readings, k)
     inverse: FloatArray  #: shape (n_groups, k, n_readings)
@@ -192,7 +190,6 @@ class WheelMotion:
 
 
 def _quantities(s: Observations) -> list[FloatArray]:
-    """Return what the wheels may follow, of (left, right, track), each (n_obs, 3), that are known and vary."""
     numbers = [s.number(name) for name in ("speed_mps", "temperature_C")]
     each = [(*s.wheel_loads_N, s.wheel_loads_N.mean(axis=0)), *((number,) * 3 for number in numbers)]
     tables = [np.stack(columns, axis=1) for columns in each]

@@ -332,7 +332,6 @@ def _moves_within(observations: Observations, values: FloatArray, rate: FloatArr
 
 
 def _lag_behind(observations: Observations, values: FloatArray, lag_s: float) -> FloatArray:
-    """Return values less those that follow them with a lag of first order, from each start on, shape (n_steps,)."""
     index, step = _side_by_side(observations)
     steps = np.maximum(np.nan_to_num(observations.duration_s)[index] / lag_s, 1e-9)
     # exact where the angle moves evenly from the middle of one step to that of the next

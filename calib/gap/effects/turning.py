@@ -199,7 +199,6 @@ class WheelSlip(Effect):
 
 
 def _slip(observations: Observations, least_mps2: float, power: float) -> FloatArray:
-    """Return the acceleration in the sense of rolling, at least so much, to a power with its sign, shape (n_steps,)."""
     rate = np.maximum(rate_per_s(observations, np.abs(observations.speed_mps), 2), least_mps2)
     return np.asarray(np.sign(rate) * np.abs(rate) ** power)
 
@@ -327,7 +326,6 @@ def _front_excess(observations: Observations, travel_m: FloatArray) -> Perturbat
 
 
 def _forces_N(observations: Observations) -> dict[str, FloatArray]:
-    """Return what the slip may depend on, each (n_obs,): the weight and, where it differs, that over the front load."""
     forces = {"by the force": observations.weight_N}
     front_N = observations.weight_N - observations.wheel_loads_N.sum(axis=0)
     over_front = observations.weight_N / np.maximum(front_N, 0.05 * observations.weight_N)

@@ -157,7 +157,6 @@ def _log_evidence(
     log_det: FloatArray,
     n_rows: int,
 ) -> FloatArray:
-    """Return the log evidence, (n_scales, n_models); `square`, `log_det`: without the models."""
     bayes, gain = log_evidence_parts(gram, right, variance)
     value = log_marginal(np.maximum(square - gain, 1e-9), log_det + bayes, n_rows)
     signed = sign.any(axis=1)
@@ -167,7 +166,6 @@ def _log_evidence(
 
 
 def _beside_wide(sums: Sums, priors: FormPriors, models: Sequence[tuple[int, ...]], best: float) -> FloatArray:
-    """Return what `_batch` does of models with the wide form; not weighed where even the largest leaves too much."""
     value, wide = np.full((len(sums.square), len(models)), -np.inf), priors.layout.wide
     index, owner = priors.index([tuple(form for form in model if form != wide) for model in models])
     prior, columns = priors.priors(models), np.unique(index[index >= 0])
@@ -189,7 +187,6 @@ def _beside_wide(sums: Sums, priors: FormPriors, models: Sequence[tuple[int, ...
 
 
 def _least_left(sums: Sums, n: int, columns: IntArray, ridge: float) -> float:
-    """Return the square that a wide form and narrow columns (k,) leave at a scale, all with a ridge."""
     assert sums.wide is not None
     own, across = sums.wide.at(n)
     half = np.linalg.solve(np.linalg.cholesky(own + ridge * np.eye(len(own))), across[:, [*columns, -1]])
@@ -200,7 +197,6 @@ def _least_left(sums: Sums, n: int, columns: IntArray, ridge: float) -> float:
 
 
 def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: IntArray) -> FloatArray:
-    """Return the log evidence (n_models,) of the wide form beside narrow columns (n_models, k) at a scale."""
     assert sums.wide is not None
     own, across = sums.wide.at(n)
     eigen, axes = np.linalg.eigh(own)

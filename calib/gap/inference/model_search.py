@@ -132,7 +132,6 @@ def search(
 
 
 def _begun_anew(initial: LocalSearch, converge: Callable[..., _Settled]) -> _Settled:
-    """Return the better search begun: without a lack of fit (for several causes), or with the best cause alone."""
     starts = [initial.with_current(model) for model in initial.best_single_effects(_SINGLE_STARTS)]
     starts = [converge(start, greedy=False)[0] for start in starts]
     # what grows beyond bounds when fitted alone has no evidence
@@ -208,7 +207,6 @@ def _settled(squares: float, before: float) -> bool:
 
 
 def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
-    """Return forms of further effects that take squares away in the linear fit, which is cheap, and what it leaves."""
     fitted = system.fitted
     effects = {form.effect for form in fitted.forms}
     beside = system.columns_of(system.numbers(fitted.forms))
@@ -270,7 +268,6 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
 
 
 def _near(moved: _Settled, left: Fitted) -> _Settled | None:
-    """Return where a search has moved to, None where that leaves far more: the path is then not the optimum's."""
     local, fitted = moved
     most = _OUTDONE * max(left.chi_square, float(len(local.system.gap)))
     own = {id(form) for form in fitted.forms}

@@ -267,7 +267,6 @@ def _chains(path: Path) -> list[tuple[int, int]]:
 
 
 def _residual_of(path: Path, first: int, behind: int) -> FloatArray:
-    """Return the length of joined windows and the residual (along, lateral, heading) at their end."""
     motions = path.s.measured[first:behind, POSE_CHANNELS], path.end[first:behind]
     real, model = map(_chained_pose, motions)
     dx, dy = real[:2] - model[:2]

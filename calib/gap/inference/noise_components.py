@@ -222,7 +222,6 @@ def ambient_trends(path: Path) -> Trends:
 
 
 def _on_reference(path: Path, columns: Sequence[FloatArray]) -> FloatArray:
-    """Return a hundredth of columns on the scale of the pose reference, (n_units, 6, k), where lasers measure too."""
     usable = path.s.usable
     moved = np.zeros(usable.shape)
     if usable[:, 0].any():

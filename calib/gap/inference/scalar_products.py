@@ -298,7 +298,6 @@ def scalar_products(
 
 
 def _log_priors(kinds: Sequence[LackOfFit], scales: Sequence[float], prior_rest: float) -> FloatArray:
-    """Return log prior odds of no lack of fit, then of each kind at each scale, (1 + n_kinds * n_scales,)."""
     others = sum(not kind.is_scatter for kind in kinds)
     odds = [
         float(kind.is_plausible(scale)) if kind.is_scatter else prior_rest / others

@@ -60,7 +60,6 @@ class ScaleEvidence:
         return spread
 
     def _whitened_at(self, log_scale: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return components' variances (n_components,) and inverse Cholesky factors (n_units, 6, 6)."""
         variance = np.asarray(np.exp(2 * log_scale) * self._active)
         return variance, whitener_of(np.tensordot(variance, self._kernels, axes=1) + self._fixed)
 

@@ -227,7 +227,6 @@ def _shares(moments: FloatArray, count: FloatArray, wheel: int) -> FloatArray:
 
 
 def _partial_squares(moments: FloatArray, wheel: int) -> tuple[FloatArray, FloatArray]:
-    """Return what a wheel explains beside the other, and what both leave, by moments (n, 3, 3), (n,)."""
     other = 1 - wheel
     with np.errstate(all="ignore"):
         ratio = moments[:, wheel, other] / moments[:, other, other]

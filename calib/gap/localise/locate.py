@@ -274,7 +274,6 @@ def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
 
 
 def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what: str) -> PlaceResult:
-    """Regress a channel's gap on way and covariate; `windows` (n_windows, 3): way, covariate, gap."""
     from scipy.special import stdtr
 
     size, error, dof = _slope(windows[:, :2], windows[:, 2], run)

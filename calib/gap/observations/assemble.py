@@ -113,7 +113,6 @@ def _each(units: Sequence[Observation], name: str) -> np.ndarray[Any, Any]:
 
 
 def _of_steps(units: Sequence[Observation], name: str, of: Callable[[FloatArray], FloatArray] = np.diff) -> FloatArray:
-    """Return what a function makes of a field in each step, end to end; NaN where it is missing."""
     fields = [(u.n_steps, getattr(u, name)) for u in units]
     parts = [np.full(n_steps, np.nan) if values is None else of(values) for n_steps, values in fields]
     joined = np.concatenate(parts, out=step_array(sum(map(len, parts))))
@@ -243,7 +242,6 @@ def _numbers(
 
 
 def _carried_N(units: Sequence[Observation], steps: WheelTravel, numbers: dict[str, FloatArray]) -> FloatArray | None:
-    """Return the wheel loads of the steps (n_steps, 2), None without logs of them; `numbers` get means by way."""
     if all(u.load_left_N is None and u.load_right_N is None for u in units):
         return None
     found = []

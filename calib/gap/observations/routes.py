@@ -112,7 +112,6 @@ def routes(driven: WheelTravel, heading_rad: FloatArray) -> IntArray:
 
 
 def _shapes(driven: WheelTravel, heading_rad: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return heading and distance at knots (n_obs, 2, n_knots), length (n_obs,), tolerances (n_obs, 2)."""
     starts, n = driven.starts, len(driven.starts) - 1
     sums = [np.concatenate(([0.0], np.cumsum(x))) for x in (driven.rolled_m, driven.turn_rad, driven.path_m)]
     length = np.maximum(sums[0][starts[1:]] - sums[0][starts[:-1]], 1e-9)

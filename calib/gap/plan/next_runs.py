@@ -135,7 +135,6 @@ def _corridor_run(driven: Campaign, dimensions: Dimensions) -> PlannedRun:
 
 
 def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
-    """Return the laden corridor runs, the largest payload first, where one session alone has several loads."""
     measured = np.isfinite(driven.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW
     if not measured or len(sessions_of_loads(driven)) != 1:
         return []

@@ -107,7 +107,6 @@ def _confirmed(
     runner: SimulatorRunner,
     rng: np.random.Generator,
 ) -> Diagnosis:
-    """Return the diagnosis with the fix that the simulator was run with, searched again beside its curvature."""
     diagnosis = searched(differences)
     named = named_parameters(diagnosis, runner)
     found = iterated(diagnosis, runner, differences) if named else None
@@ -143,7 +142,6 @@ def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
 
 
 def _simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:
-    """Return the observations with a simulator's table (n_runs, 4), whose scatter adds to the stated uncertainties."""
     simulated = np.full((len(measured), N_CHANNELS), np.nan)
     simulated[:, :4] = table[differences.rows(measured)]
     # but for whole turns of a heading
@@ -239,7 +237,6 @@ def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
 
 
 def _is_setting(effect: Effect, observations: Observations, noisy: bool) -> bool:
-    """Return whether an effect is a setting as simulators have them, beside a noisy one any of one parameter."""
     if noisy and (forms := effect.forms(observations)):
         return all(len(form.parameters) == 1 for form in forms)
     steered = observations.by_front and effect.id in (SteeringZero.id, SteeringScale.id)
@@ -249,7 +246,6 @@ def _is_setting(effect: Effect, observations: Observations, noisy: bool) -> bool
 def _spanned(
     rivals: Sequence[Effect], own: Sequence[SimulatorParameter], nominal: Path, noisy: bool
 ) -> dict[str, dict[str, list[int]]]:
-    """Return the signs, 1 and -1, of parameters that do what each form of a rival would, by id and label."""
     offered = [form for effect in own for form in effect.forms(nominal.s)]
     targets = [form for rival in rivals for form in rival.forms(nominal.s)]
     if not offered or not targets:

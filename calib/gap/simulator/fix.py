@@ -167,7 +167,6 @@ def _followed(
     trial: FloatArray | None = None,
     limit: float = np.inf,
 ) -> SimulatorFix:
-    """Run the simulator as `iterated` does, beside other causes, while that promises to leave less than `limit`."""
     names = [each.name for each in named.values()]
     typical = np.array([each.parameter.typical for each in named.values()])
     left = _without(fitted, named)
@@ -240,7 +239,6 @@ def _asked(
     derivative: FloatArray,
     typical: FloatArray,
 ) -> _Asked:
-    """Return what a table (n_runs, 4) leaves of a gap (n_obs, n_channels), and what corrects it."""
     rows = differences.rows(path.s)
     gap = left - in_end_frame(path, difference(table, differences.nominal)[rows])
     columns = [
@@ -322,7 +320,6 @@ def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], FloatArray, FloatArra
 
 
 def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> Iterator[dict[str, Declared]]:
-    """Yield, by id, the parameter that leaves least of the gap when plausible, then with others beside it."""
     forms, a, r = _signatures(diagnosis)
     sign = np.array([form.parameters[0].sign for form in forms])
     chosen: list[int] = []

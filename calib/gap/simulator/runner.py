@@ -347,7 +347,6 @@ def _off(settings: SimulatorSettings, name: str, step: float) -> Job:
 
 
 def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> float:
-    """Return the step that changes some channel by `CLEAR_CHANGE` of the scatter; `change`: by the declared one."""
     square = np.maximum(np.mean(change**2, axis=0) - 2.0 * scatter**2, 0.0)
     shown = float(np.max(np.sqrt(square / np.where(scatter > 0.0, scatter, np.inf) ** 2)))
     # to either side, a length not to nothing
