@@ -1,4 +1,4 @@
-"""Size of the noise, without what weights and parameters take from it, and what to expect by its doubt."""
+"""Size of the noise, without what weights and parameters take from it, and what to expect of a further journey."""
 
 from dataclasses import replace
 from typing import Final
@@ -22,7 +22,7 @@ def noise_sizes(fitted: Fitted, stated: FloatArray) -> list[dict[str, float]]:
     """Return standard deviations of the noise's components: estimated, and to expect of a further journey.
 
     `stated`: variances by the settings, shape (4,). The estimate is of residuals enlarged by what the parameters took
-    of each block (Bell and McCaffrey). Few blocks leave doubt: to expect is the mean of the variances that may be.
+    of each block (Bell and McCaffrey). Few blocks leave variances uncertain: to expect is the mean of those possible.
     """
     model, solution = fitted.model, fitted.solution
     segments, scales = model.segments, solution.scales
@@ -46,11 +46,11 @@ def noise_sizes(fitted: Fitted, stated: FloatArray) -> list[dict[str, float]]:
     kept = (weights * squares * DEGREES / (DEGREES + squares)).sum() / size.sum()
     by_stated = np.diag(0.5 * readings / scales)
     bread = np.linalg.pinv(0.5 * kept * np.einsum("knij,lnji->kl", pulled, pulled) + by_stated, hermitian=True)
-    doubt = np.sqrt(np.diag(bread @ (scores @ scores.T + by_stated) @ bread))
+    variance_std = np.sqrt(np.diag(bread @ (scores @ scores.T + by_stated) @ bread))
     dof = max(len(np.unique(block)) - int(fitted.parameters.free.sum()), FEWEST_DOF)
-    # with what shares its channel, doubt sqrt(dof / 2), an inverse chi squared: its mean is dof / (dof - 4) of that
-    # where all variances were alike likely
-    expected = scales + doubt * np.sqrt(8.0 * dof) / (dof - 4.0)
+    # with what shares its channel, uncertain by sqrt(2 / dof), an inverse chi squared: its mean is dof / (dof - 4) of
+    # that where all variances were alike likely
+    expected = scales + variance_std * np.sqrt(8.0 * dof) / (dof - 4.0)
     return [dict(zip(COMPONENTS, row, strict=True)) for row in np.sqrt([scales, expected]).tolist()]
 
 

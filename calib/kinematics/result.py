@@ -163,7 +163,7 @@ class Geometry(Result):
     held: Mapping[str, float]
     #: independent: ``run``, ``block``, ``session`` or ``route``, and their number
     clusters: tuple[str, int]
-    #: standard deviations of the noise's components, and to expect of a further journey: larger of few runs
+    #: standard deviations of the noise's components, and expected of a further journey, larger where runs are few
     noise: Mapping[str, float]
     noise_expected: Mapping[str, float]
     #: after the calibration

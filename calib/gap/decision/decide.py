@@ -113,7 +113,7 @@ def _of_sound_data(fix: Fix, situation: Situation, causes: Sequence[Cause]) -> F
 
 
 def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
-    # no size follows a load but those of the law
+    # wrong loads spoil the sizes of causes that follow the load
     of_load = any("load" in cause.effect for cause in causes)
     notes = () if situation.faults else implausible(situation.campaign)
     return [note for note in notes if of_load or "load" not in note.where]

@@ -175,10 +175,9 @@ def _worse_sessions(evidence: Evidence, left_out: HeldOutFit, before: FloatArray
         units = observations.labels["session"] == session
         as_is, left = (float(part[units].sum()) for part in squares)
         if left > max(as_is, most_square(int(observations.usable[units].sum()), evidence.noise.dof)):
-            found.append((left / as_is, session))
+            found.append((np.sqrt(left / max(as_is, ROUNDING)), session))
     return [
-        f"alone it makes session {session} worse ({np.sqrt(ratio):.2g} times the gap), for it is the steps of the "
-        "others that it takes off"
+        f"alone it makes session {session} worse ({ratio:.2g} times the gap): its size is the mean of unlike ones"
         for ratio, session in sorted(found, reverse=True)
     ]
 
