@@ -149,6 +149,8 @@ def _wheels_mps(observations: Observations) -> FloatArray:
 
 FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/pi": 1 / np.pi, "10": 10.0, "1/10": 0.1}
 _SWAPPED: Final = "swapped wheels"
+#: where a front wheel drives the odometry, which two wheels represent
+_REVERSED: Final = "the steering angle has the other sign"
 #: a blunder leaves runs off by more than this share of their length (or of a radian) on average
 BLUNDER_MISFIT: Final = 0.08
 #: and a correction is believed where it leaves less than this share of that
@@ -196,7 +198,8 @@ class Blunder:
     def remark(self) -> str:
         """What to do about it."""
         axes = "or the reference's axes (y to the left, angles counter-clockwise), " if self.swapped else ""
-        return f"put the counts right, {axes}then diagnose again"
+        what = "steer_rad" if self.label == _REVERSED else "the counts"
+        return f"put {what} right, {axes}then diagnose again"
 
     @property
     def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
@@ -212,7 +215,7 @@ class Blunder:
     def from_factors(cls, label: str, factors: Mapping[str, float]) -> "Blunder | None":
         """Return the fault of a label and its `factors`, None where one is missing or 0."""
         left, right = factors.get("factor_left"), factors.get("factor_right")
-        return cls(label, left, right, swapped=label.startswith(_SWAPPED)) if left and right else None
+        return cls(label, left, right, swapped=label.startswith((_SWAPPED, _REVERSED))) if left and right else None
 
 
 def _candidates() -> list[Blunder]:
@@ -232,6 +235,7 @@ def _candidates() -> list[Blunder]:
         Blunder("the right wheel counts backwards", 1.0, -1.0),
         Blunder("both wheels count backwards", -1.0, -1.0),
         Blunder(f"{_SWAPPED}, both counting backwards", -1.0, -1.0, swapped=True),
+        Blunder(_REVERSED, 1.0, 1.0, swapped=True),
     ]
 
 
@@ -243,6 +247,8 @@ def corrected(observations: Observations, fault: Blunder) -> Observations:
         for angle in ("roll", "phase")
         for side, factor in (("left", fault.left), ("right", fault.right))
     }
+    if observations.by_front and fault.swapped:
+        counted |= {name: -getattr(observations, name) for name in ("steer_rad", "steer_change_rad")}
     return replace(observations, **counted)
 
 
@@ -304,8 +310,13 @@ def find_blunder(observations: Observations, nominal: Path) -> Blunder | None:
     now = float(np.mean(misfit(nominal)))
     if now < BLUNDER_MISFIT:
         return None
-    # a front wheel that drives the odometry has no other side
-    candidates = [c for c in _candidates() if not observations.by_front or (c.left == c.right and not c.swapped)]
+    # a front wheel that drives the odometry has no other side: to either side it turns by its angle
+    front = observations.by_front
+    candidates = [
+        c
+        for c in _candidates()
+        if (c.left == c.right or not front) and (not c.swapped or front == (c.label == _REVERSED))
+    ]
     left = [float(np.mean(misfit(predict(corrected(observations, fault))))) for fault in candidates]
     best = min(left)
     return candidates[left.index(best)] if best < min(BLUNDER_RESIDUAL_SHARE * now, BLUNDER_MISFIT) else None

@@ -144,6 +144,8 @@ class SteeringScale(Effect):
     family = Family.STEERING
     needs = "the front wheel in the log, turned"
     separates = "several steering angles"
+    # as of a track; half or twice the angle is a unit or a gear
+    wrong_beyond = 0.3
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a form for the angle and one for the wheelbase; none where the front wheel is never turned."""

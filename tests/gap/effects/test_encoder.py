@@ -15,6 +15,7 @@ from calib.gap.effects.encoder import Blunder, corrected, find_blunder
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from tests.gap.effects.making import Motion, Run, campaign, rich_runs
+from tests.gap.observations.test_one_counter import car
 
 Change = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -75,6 +76,24 @@ def test_swapped_wheels_that_count_backwards_are_named() -> None:
     assert fault is not None
     assert fault.swapped
     assert (fault.left, fault.right) == (-1.0, -1.0)
+
+
+@pytest.mark.parametrize("drive", ["tricycle", "ackermann"])
+def test_a_steering_angle_of_the_other_sign_is_named_and_corrected(drive: str) -> None:
+    """Turned back, nothing is left of it: readings, steering and all are those of the campaign as it was driven."""
+    right = car(drive, (0.0, 0.0), (0.0, 0.0))
+    columns = {**right.logs.columns, "steer_rad": -right.logs.columns["steer_rad"]}
+    s = observations_of(replace(right, logs=replace(right.logs, columns=columns)))
+    fault = find_blunder(s, predict(s))
+    assert fault is not None
+    assert "steering angle has the other sign" in fault.label
+    assert "steer_rad" in fault.remark
+    assert Blunder.from_factors(fault.label, fault.factors) == fault
+    driven, back = observations_of(right), corrected(s, fault)
+    assert find_blunder(driven, predict(driven)) is None
+    np.testing.assert_array_equal(back.steer_rad, driven.steer_rad)
+    # the same sums, of wheels exchanged
+    np.testing.assert_allclose(predict(back).reading, predict(driven).reading, rtol=0.0, atol=1e-12)
 
 
 def test_counts_put_right_leave_no_gap() -> None:
