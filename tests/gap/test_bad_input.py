@@ -145,3 +145,21 @@ def test_sizes_of_data_that_cannot_be_are_not_recommended() -> None:
     assert verdict.correct_first
     assert not verdict.recommended
     assert "correct this first" in verdict.fix.why[0]
+
+
+def test_sizes_beside_loads_that_contradict_payloads_in_some_runs_are_not_recommended() -> None:
+    """A session's loads in kilograms: vehicle and payload tell which runs, as they agree with all others."""
+    rng = np.random.default_rng(0)
+    sound = make_campaign(good_design(rng, n_runs=RUNS, needs={"loads"}), {"load_radius": 3e-6}, rng)
+    sessions = sound.runs.label("session")
+    spoilt_rows = sessions == sessions[0]
+    assert 0 < spoilt_rows.mean() < 0.5
+    numbers = {
+        name: np.where(spoilt_rows, column / 9.80665, column) if name.startswith("load_") else column
+        for name, column in sound.runs.numbers.items()
+    }
+    verdict = diagnose_in_full(replace(sound, runs=replace(sound.runs, numbers=numbers)))
+    assert any("load" in cause.effect for cause in verdict.causes)
+    assert "vehicle and payload ask for other loads" in verdict.correct_first[0]
+    assert not verdict.recommended
+    assert not diagnose_in_full(sound).correct_first
