@@ -14,6 +14,8 @@ from calib.campaign.read import read_campaign
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.diagnose import diagnose_in_full
+from calib.plant.design import good_design
+from calib.plant.make import make_campaign
 from calib.reporting.topics.diagnosis import after_diagnosis
 from calib.types import FloatArray
 
@@ -122,3 +124,61 @@ def test_missing_loads_are_not_to_be_corrected_before_what_takes_runs_so_far_off
     verdict = diagnose_in_full(replace(yard, runs=replace(yard.runs, numbers=numbers)), plan=False)
     assert "of their length" in verdict.sentence and any("no wheel load" in note for note in verdict.notes)
     assert "no wheel load" not in verdict.sentence
+
+
+def sound(seed: int, n_runs: int = 30) -> Campaign:
+    rng = np.random.default_rng(seed)
+    return make_campaign(good_design(rng, n_runs=n_runs), {}, rng)
+
+
+def with_numbers(campaign: Campaign, **numbers: FloatArray) -> Campaign:
+    return replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **numbers}))
+
+
+#: a last digit written otherwise: micrometres and microradians
+LAST_DIGIT = 1e-6
+
+
+@pytest.mark.parametrize("digit", [0.0, LAST_DIGIT])
+def test_runs_recorded_twice_are_one_measurement(digit: float) -> None:
+    """Under other names, a last digit written otherwise: the diagnosis is that of the runs once, noise included."""
+    once = sound(0)
+    n_runs = len(once.runs)
+    both = once.select(np.tile(np.arange(n_runs), 2))
+    numbers = {name: both.runs.numbers[name].copy() for name in ("ref_x_m", "ref_y_m", "ref_theta_rad")}
+    for column in numbers.values():
+        column[n_runs:] += digit
+    names = np.array([*once.runs.run_id, *(f"again_{name}" for name in once.runs.run_id)])
+    twice = with_numbers(both, **numbers)
+    twice = replace(twice, runs=replace(twice.runs, labels={**twice.runs.labels, "run_id": names}))
+    single, verdict = diagnose_in_full(once, plan=False), diagnose_in_full(twice, plan=False)
+    assert single.kind is VerdictKind.NO_GAP
+    assert verdict.probabilities == single.probabilities
+    assert verdict.noise_level == single.noise_level
+    assert "count once: again_r000, again_r001" in verdict.notes[0]
+
+
+def test_runs_driven_alike_are_no_copies() -> None:
+    """The same counts, as of a plan that is followed exactly, and readings of their own: repeats."""
+    once = sound(0)
+    both = once.select(np.repeat(np.arange(len(once.runs)), 2))
+    # half of the stated uncertainty to either side
+    apart = 0.5 * once.reference.sigma_xy_m * np.tile([-1.0, 1.0], len(once.runs))
+    names = np.array([f"r{row:03d}" for row in range(len(both.runs))])
+    repeats = with_numbers(both, ref_x_m=both.runs.numbers["ref_x_m"] + apart)
+    repeats = replace(repeats, runs=replace(repeats.runs, labels={**repeats.runs.labels, "run_id": names}))
+    assert not any("count once" in note for note in diagnose_in_full(repeats, plan=False).notes)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_no_gap_beside_a_run_that_no_noise_takes_so_far_is_no_all_clear(seed: int) -> None:
+    """One end pose of 48 is mistyped by 0.1 m: the others show no gap, and that run is to be corrected first."""
+    right = sound(seed, 48)
+    x_m = right.runs.numbers["ref_x_m"].copy()
+    x_m[7] += 0.1
+    verdict = diagnose_in_full(with_numbers(right, ref_x_m=x_m), plan=False)
+    assert verdict.kind is VerdictKind.NO_GAP
+    assert verdict.correct_first[0].startswith("r007 (")
+    assert after_diagnosis(verdict) == "diagnose wrong"
+    clear = diagnose_in_full(right, plan=False)
+    assert (clear.kind, clear.correct_first) == (VerdictKind.NO_GAP, ())

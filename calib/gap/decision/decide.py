@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from math import prod, sqrt
 from typing import Final
 
@@ -30,10 +31,11 @@ from calib.gap.decision.kind import (
 from calib.gap.decision.part import as_delivered, is_named_beside, moved, sure_part
 from calib.gap.decision.trials import FALSE_ALARM, most_square, reach_of_noise
 from calib.gap.effects.effect import Family, Form
-from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
+from calib.gap.effects.encoder import BAD_RUN_RATIO, BLUNDER_MISFIT, misfit
 from calib.gap.effects.radii import NAMES
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.gap.inference.marginal_likelihood import Nuisance
+from calib.gap.localise.locate import by_run
 
 #: families of unlike corrections: confounded members are no mere forms of one another
 OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
@@ -145,7 +147,7 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     said = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
     if diagnosis.kind in NOTHING_NAMED:
-        first = _on_data(evidence.situation, blunder)
+        first = _on_data(evidence.situation, blunder) or _single_runs(evidence) * (diagnosis.kind is VerdictKind.NO_GAP)
     else:
         first = tuple(note.sentence for note in _wrong_data(evidence.situation, diagnosis.causes))
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
@@ -162,6 +164,18 @@ def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
     wrong = tuple(note.sentence for note in implausible(situation.campaign))
     # no load, nor what nobody stated, makes a run end off by so much of its length
     return wrong or (notes_for_results(situation.campaign, of_loads=False)[:MOST_SAID] if off else ())
+
+
+def _single_runs(evidence: Evidence) -> tuple[str, ...]:
+    seen, noise = evidence.observations, evidence.noise
+    reach = reach_of_noise(noise.dof, int(seen.usable.sum()))
+    # their small weights do not make it usual
+    runs = by_run(seen, noise.floor * np.sqrt(noise.weight)[:, None], evidence.held_out.before)
+    far = enumerate(pairwise(abs(run.z) for run in runs), 1)
+    number = max((k for k, (one, after) in far if one > max(reach, BAD_RUN_RATIO * after)), default=0)
+    off = (f"{run.name} ({run.channel.label} {1e3 * run.value:+.3g} m{run.channel.unit})" for run in runs[:number])
+    said = f"{sentences.joined(off, 'and')} alone: look at reference, start, counts and steering, or exclude."
+    return (said,) * (number > 0)
 
 
 def scatters_alone(evidence: Evidence) -> str:

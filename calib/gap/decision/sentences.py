@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.decision.held_out import LARGE_RESIDUAL, RERUN, ChannelClosure
 from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE, ON_FLOOR, fails
-from calib.gap.decision.trials import reach_of_noise
 from calib.gap.effects.library import effect_class, title_of
 from calib.gap.effects.radii import HIDES_IN
 from calib.gap.inference.local_search import EVEN_PROBABILITY
@@ -56,8 +55,7 @@ def blunder_sentence(diagnosis: Diagnosis, off: float) -> str:
 def _verdict(diagnosis: Diagnosis) -> str:
     kind, lead = diagnosis.kind, _channels(diagnosis)
     if kind is VerdictKind.NO_GAP:
-        alike = f"No gap: measured motion differs from {diagnosis.against} by no more than the noise level"
-        return f"{alike}{_but_single_runs(diagnosis)}."
+        return f"No gap: measured motion differs from {diagnosis.against} by no more than the noise level."
     if kind is VerdictKind.UNDECIDED:
         return f"These runs cannot show whether there is a gap: {_unsupported(diagnosis)}."
     gap, before = diagnosis.gap_probability, ""
@@ -81,18 +79,6 @@ def _verdict(diagnosis: Diagnosis) -> str:
 def _unsupported(diagnosis: Diagnosis) -> str:
     support = diagnosis.noise_level.support
     return f"their noise level rests on {support}. Drive one route several times under the same conditions"
-
-
-def _but_single_runs(diagnosis: Diagnosis) -> str:
-    reach = reach_of_noise(diagnosis.noise_level.dof, sum(line.n_units for line in diagnosis.where.channels))
-    off = [
-        f"{run.name} ({run.channel.label} {1e3 * run.value:+.3g} m{run.channel.unit})"
-        for run in diagnosis.where.runs
-        if abs(run.z) > reach
-    ]
-    if not off:
-        return ""
-    return f", but for single runs: {joined(off, 'and')}; look at their reference, start and counts, or exclude them"
 
 
 def _nearest(diagnosis: Diagnosis) -> str:

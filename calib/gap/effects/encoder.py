@@ -160,6 +160,9 @@ BLUNDER_RESIDUAL_SHARE: Final = 0.2
 BAD_RUN_MISFIT: Final = 0.2
 BAD_RUN_RATIO: Final = 3.0
 MOST_BAD_RUNS: Final = 0.25
+#: readings of runs of the same counts that differ by less of their standard uncertainty, as a last digit rounded, are
+#: one: no instrument meets itself so closely in every channel
+COPIED_SD: Final = 0.05
 #: rise over run, and radians, within which a run is straight: no route turns by so little
 _STRAIGHT_ANGLE_RAD: Final = 0.2
 
@@ -219,23 +222,18 @@ class Blunder:
 
 
 def _candidates() -> list[Blunder]:
-    times = "counts are to be multiplied by"
-    of_factors = [
-        (
-            Blunder(f"both wheels' {times} {label}", factor, factor),
-            Blunder(f"the left wheel's {times} {label}", factor, 1.0),
-            Blunder(f"the right wheel's {times} {label}", 1.0, factor),
-        )
-        for label, factor in FACTORS.items()
-    ]
+    wheels = (("both wheels'", 1, 1), ("the left wheel's", 1, 0), ("the right wheel's", 0, 1))
     return [
         Blunder(_SWAPPED, 1.0, 1.0, swapped=True),
-        *(fault for faults in of_factors for fault in faults),
+        *(
+            Blunder(f"{whose} counts are to be multiplied by {label}", factor**left, factor**right)
+            for label, factor in FACTORS.items()
+            for whose, left, right in wheels
+        ),
         Blunder("the left wheel counts backwards", -1.0, 1.0),
         Blunder("the right wheel counts backwards", 1.0, -1.0),
         Blunder("both wheels count backwards", -1.0, -1.0),
         Blunder(f"{_SWAPPED}, both counting backwards", -1.0, -1.0, swapped=True),
-        Blunder(_REVERSED, 1.0, 1.0, swapped=True),
     ]
 
 
@@ -270,6 +268,17 @@ def bad_runs(nominal: Path) -> dict[str, float]:
     if not np.isin(kind[bad], kind[others]).all():
         return {}
     return dict(zip(nominal.s.labels["run_id"][bad].tolist(), off[bad].tolist(), strict=True))
+
+
+def copied_runs(s: Observations) -> list[str]:
+    """Return the runs, by id, of the counts and readings of one before: one measurement, recorded twice."""
+    rolled = np.stack([s.total(s.roll_left_rad**2), s.total(s.roll_right_rad**2)], axis=1)
+    _, first, same = np.unique(rolled, axis=0, return_index=True, return_inverse=True)
+    before, read, runs = first[same.ravel()], np.where(s.usable, s.measured, np.inf)[:, :4], s.labels["run_id"]
+    with np.errstate(invalid="ignore"):
+        apart = (np.abs(read - read[before]) > COPIED_SD * s.sigma).any(axis=1)
+    own = apart | (before == np.arange(len(s))) | ~rolled.any(axis=1)
+    return sorted({*runs.tolist()}.difference(runs[own].tolist()))
 
 
 def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by_extent: bool = False) -> FloatArray:
@@ -310,13 +319,11 @@ def find_blunder(observations: Observations, nominal: Path) -> Blunder | None:
     now = float(np.mean(misfit(nominal)))
     if now < BLUNDER_MISFIT:
         return None
-    # a front wheel that drives the odometry has no other side: to either side it turns by its angle
-    front = observations.by_front
-    candidates = [
-        c
-        for c in _candidates()
-        if (c.left == c.right or not front) and (not c.swapped or front == (c.label == _REVERSED))
-    ]
+    candidates = _candidates()
+    if observations.by_front:
+        # one wheel: no other side than by its angle
+        candidates = [c for c in candidates if c.left == c.right and not c.swapped]
+        candidates.append(Blunder(_REVERSED, 1.0, 1.0, swapped=True))
     left = [float(np.mean(misfit(predict(corrected(observations, fault))))) for fault in candidates]
     best = min(left)
     return candidates[left.index(best)] if best < min(BLUNDER_RESIDUAL_SHARE * now, BLUNDER_MISFIT) else None

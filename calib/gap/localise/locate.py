@@ -145,7 +145,7 @@ def locate(
     if campaign is not None:
         places, notes = _find_places(campaign, observations, rng)
     shown = noise.floor if floor is None else floor
-    channels, runs = _by_channel(observations, shown, gap), _by_run(observations, shown, gap)
+    channels, runs = _by_channel(observations, shown, gap), by_run(observations, shown, gap)
     rest = None if left is None else GapLocation(covariates=_tested(nominal, noise, left, rng))
     return GapLocation(channels=channels, covariates=lines, runs=runs, places=places, notes=notes, rest=rest)
 
@@ -175,7 +175,8 @@ def _by_channel(observations: Observations, floor: FloatArray, gap: FloatArray) 
     )
 
 
-def _by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> tuple[RunDeviation, ...]:
+def by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> tuple[RunDeviation, ...]:
+    """Return how far runs are off, the furthest first."""
     z = np.divide(gap, floor, out=np.zeros_like(gap), where=observations.usable)
     worst = np.abs(z).argmax(axis=1)
     size = np.abs(z)[np.arange(len(observations)), worst]

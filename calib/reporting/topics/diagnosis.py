@@ -334,8 +334,7 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
         kind = "simulator" if diagnosis.fix.parameters else "simulator group" if tied else "simulator lacks"
     # what was corrected before the search has no finite signal
     wrong = diagnosis.correct_first or any(cause.signal == float("inf") for cause in diagnosis.causes)
-    kind = diagnosis.kind.value if diagnosis.kind.value == "no_gap" else "wrong" if wrong else kind
-    step = f"diagnose {kind}"
+    step = f"diagnose {'wrong' if wrong else kind}"
     if step in blocks.catalogue()["next"]:
         return step
     # runs to drive next are sought for confounded causes alone

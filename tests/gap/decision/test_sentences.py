@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 
 from calib.gap.decision.decide import tied_with
-from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, NoiseSummary, Quantity, VerdictKind
+from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.decision.sentences import advice, headline, sentence
 from calib.gap.localise.along_run import PlaceResult
-from calib.gap.localise.locate import ChannelGap, GapLocation, RunDeviation
+from calib.gap.localise.locate import GapLocation
 from calib.gap.observations.arrays import Channel
 
 DISTANCE = ChannelClosure(Channel.DISTANCE, 0.0061, 0.0019, 0.0023, 0.98)
@@ -65,19 +65,6 @@ def test_where_no_channel_is_above_the_noise_level_causes_are_shown_by_the_one_t
     worse = ChannelClosure(Channel.LATERAL, 0.0161, 0.0165, 0.0141, None)
     assert "heading 3.12 -> 2.7 mrad" in words(VerdictKind.EXPLAINED, lowered, worse)
     assert "lateral 16.1 mm" in words(VerdictKind.UNKNOWN, lowered, worse, named=False)
-
-
-@pytest.mark.parametrize(("metres", "named"), [(0.16, True), (0.09, True), (0.07, False)])
-def test_a_run_beyond_the_reach_of_noise_is_said_beside_no_gap(metres: float, named: bool) -> None:
-    """Of 3 x 60 readings noise takes the furthest beyond 4.2 standard deviations in one campaign of a hundred."""
-    run = RunDeviation("r007", Channel.ALONG, metres, 0.02, metres / 0.02)
-    channels = tuple(
-        ChannelGap(channel, 0.02, 0.02, 0.0, 60) for channel in (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
-    )
-    where = GapLocation(channels=channels, runs=(run,))
-    text = sentence(Diagnosis(VerdictKind.NO_GAP, "", where=where, noise_level=NoiseSummary(dof=120.0)))
-    said = f"but for single runs: r007 (along +{1e3 * metres:.3g} mm)"
-    assert (said in text) == named
 
 
 @pytest.mark.parametrize("against", [BY_SIMULATOR, "coefficients.json"])
