@@ -271,13 +271,14 @@ def bad_runs(nominal: Path) -> dict[str, float]:
 
 
 def copied_runs(s: Observations) -> list[str]:
-    """Return the runs, by id, of the counts and readings of one before: one measurement, recorded twice."""
-    rolled = np.stack([s.total(s.roll_left_rad**2), s.total(s.roll_right_rad**2)], axis=1)
-    _, first, same = np.unique(rolled, axis=0, return_index=True, return_inverse=True)
+    """Return the runs, by id, of the counts, loads and readings of one before: one measurement, recorded twice."""
+    rolled = np.stack([s.total(s.roll_left_rad**2), s.total(s.roll_right_rad**2)])
+    driven = np.concatenate([rolled, np.nan_to_num(s.wheel_loads_N)])
+    _, first, same = np.unique(driven, axis=1, return_index=True, return_inverse=True)
     before, read, runs = first[same.ravel()], np.where(s.usable, s.measured, np.inf)[:, :4], s.labels["run_id"]
     with np.errstate(invalid="ignore"):
         apart = (np.abs(read - read[before]) > COPIED_SD * s.sigma).any(axis=1)
-    own = apart | (before == np.arange(len(s))) | ~rolled.any(axis=1)
+    own = apart | (before == np.arange(len(s))) | ~rolled.any(axis=0)
     return sorted({*runs.tolist()}.difference(runs[own].tolist()))
 
 
