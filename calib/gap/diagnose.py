@@ -103,8 +103,7 @@ def diagnose_in_full(
         windows = replace(along.situation(given), omitted=situation.omitted)
         if windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):
             diagnosis = by_windows
-    once = f"copies of other runs, which count once: {listed([*copied])}"
-    notes = (once,) * bool(copied) + diagnosis.notes
+    notes = (f"copies of other runs, which count once: {listed([*copied])}",) * bool(copied) + diagnosis.notes
     diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence}{unloaded}", notes=notes)
     if not plan or not diagnosis.groups or (evidence := diagnosis.evidence) is None:
         return diagnosis
@@ -305,7 +304,6 @@ def _refined(situation: Situation, fitted: Fitted) -> TurnedReference | None:
 
 
 def _check_copied(campaign: Campaign, nominal: Path) -> None:
-    """Refuse headings that are the odometry's own by any radii and track: linear in the ways of both wheels."""
     observations = nominal.s
     measured = observations.usable[:, Channel.HEADING]
     turned_rad = nominal.end[measured, 2] + residuals(nominal, nominal)[measured, Channel.HEADING]
@@ -370,7 +368,6 @@ def _held_out(
     left_out: HeldOutFit,
     rng: np.random.Generator,
 ) -> HeldOut:
-    """Return the gap before and after on held-out runs: whole sessions, unless the cause is a step between them."""
     best = searched.fitted
     # where no cause is missing, the residual is noise, and a better estimate of its level
     factor = (FLOOR_DOF + best.chi_square) / (FLOOR_DOF + int(left_out.observations.usable.sum()))

@@ -118,13 +118,14 @@ def _of_sound_data(fix: Fix, situation: Situation, causes: Sequence[Cause]) -> F
 def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
     # wrong loads spoil the sizes of causes that follow the load
     of_load = any("load" in cause.effect for cause in causes)
+    if situation.faults:
+        return []
     campaign = situation.campaign.included()
-    notes = [] if situation.faults else [*implausible(campaign)]
-    odd = [note.run_id for note in loads_against_payload(campaign) if note.run_id]
+    notes, odd = [*implausible(campaign)], [note.run_id for note in loads_against_payload(campaign) if note.run_id]
     # of most runs vehicle or payloads may be what is wrong
-    if 0 < 2 * len(odd) < len(campaign.runs) and not situation.faults:
+    if 0 < 2 * len(odd) < len(campaign.runs):
         text = "vehicle and payload ask for other loads, as the other runs have them; check the unit and the weighing"
-        notes.append(Note.of(f"runs {listed(odd)}, load_left_N, load_right_N", text, ""))
+        notes.append(Note("wrong", f"runs {listed(odd)}, load_left_N, load_right_N", text))
     return [note for note in notes if of_load or "load" not in note.where]
 
 

@@ -155,14 +155,14 @@ def measure_closure(
 
     Parameters
     ----------
-    left_out : HeldOutFit
-    rng : numpy.random.Generator
+    left_out
+    rng
         For the bootstrap.
-    sessions : bool
+    sessions
         Hold sessions out where there are three or more; else conditions.
-    floor_factor : float
+    floor_factor
         Variance of the noise level over `noise`'s, where the fit's residual counts as noise.
-    as_counted : array of float, shape (n_units, n_channels), optional
+    as_counted : shape (n_units, n_channels)
         Gap to state instead: before a blunder was corrected.
     """
     nominal, noise = left_out.nominal, left_out.noise

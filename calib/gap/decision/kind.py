@@ -75,21 +75,21 @@ def kind_of(
 
     Parameters
     ----------
-    gap_probability : float
+    gap_probability
         Of any gap.
-    causes : sequence of Cause
+    causes
         What would be named.
-    closure : Closure
+    closure
         On held-out runs.
-    incomplete : bool
+    incomplete
         Whether the correction fails on held-out runs, or a large cause differs in size between groups.
-    unexplained_share : float, optional
+    unexplained_share
         Share of the gap that no cause explains; none is probable by default.
-    tied : bool
+    tied
         Whether a more than small cause is confounded with an effect of another family.
-    supported : bool
+    supported
         Whether the runs support a noise level.
-    misfit : float
+    misfit
         How far runs end off with the causes corrected, over their length, on average.
     """
     high = closure.ci95[1] if closure.ci95 else 1.0

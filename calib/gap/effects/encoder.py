@@ -149,7 +149,7 @@ def _wheels_mps(observations: Observations) -> FloatArray:
 
 FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/pi": 1 / np.pi, "10": 10.0, "1/10": 0.1}
 _SWAPPED: Final = "swapped wheels"
-#: where a front wheel drives the odometry, which two wheels represent
+#: where a front wheel drives the odometry
 _REVERSED: Final = "the steering angle has the other sign"
 #: a blunder leaves runs off by more than this share of their length (or of a radian) on average
 BLUNDER_MISFIT: Final = 0.08
@@ -160,8 +160,7 @@ BLUNDER_RESIDUAL_SHARE: Final = 0.2
 BAD_RUN_MISFIT: Final = 0.2
 BAD_RUN_RATIO: Final = 3.0
 MOST_BAD_RUNS: Final = 0.25
-#: readings of runs of the same counts that differ by less of their standard uncertainty, as a last digit rounded, are
-#: one: no instrument meets itself so closely in every channel
+#: standard uncertainties by which readings of one run differ, as a last digit does: no instrument meets itself so
 COPIED_SD: Final = 0.05
 #: rise over run, and radians, within which a run is straight: no route turns by so little
 _STRAIGHT_ANGLE_RAD: Final = 0.2
@@ -201,8 +200,7 @@ class Blunder:
     def remark(self) -> str:
         """What to do about it."""
         axes = "or the reference's axes (y to the left, angles counter-clockwise), " if self.swapped else ""
-        what = "steer_rad" if self.label == _REVERSED else "the counts"
-        return f"put {what} right, {axes}then diagnose again"
+        return f"put it right, {axes}then diagnose again"
 
     @property
     def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
@@ -239,11 +237,11 @@ def _candidates() -> list[Blunder]:
 
 def corrected(observations: Observations, fault: Blunder) -> Observations:
     """Return the observations with the counts corrected."""
-    other = {"left": "right", "right": "left"}
+    left, right = ("right", "left") if fault.swapped else ("left", "right")
     counted = {
-        f"{angle}_{side}_rad": getattr(observations, f"{angle}_{other[side] if fault.swapped else side}_rad") * factor
+        f"{angle}_{side}_rad": getattr(observations, f"{angle}_{of}_rad") * factor
         for angle in ("roll", "phase")
-        for side, factor in (("left", fault.left), ("right", fault.right))
+        for side, of, factor in (("left", left, fault.left), ("right", right, fault.right))
     }
     if observations.by_front and fault.swapped:
         counted |= {name: -getattr(observations, name) for name in ("steer_rad", "steer_change_rad")}

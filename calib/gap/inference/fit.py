@@ -79,13 +79,13 @@ def hypothesis_path(
 
     Parameters
     ----------
-    s : Observations
-    calibration : array of float, shape (4,)
+    s
+    calibration : shape (4,)
         Relative change of left radius, right radius, track, front radius.
-    forms : sequence of Form
-    theta : sequence of array of float, each shape (n_parameters,)
+    forms
+    theta : each shape (n_parameters,)
         Sizes of each form, in its parameters' units.
-    about : Path
+    about
         Where the perturbations are taken.
     """
     pushes = calibration_pushes(s, calibration, about)
@@ -174,16 +174,16 @@ def fit(
 
     Parameters
     ----------
-    nominal : Path
+    nominal
         The model alone.
-    noise : Noise
-    forms : sequence of Form
+    noise
+    forms
         Effects to fit.
-    along : array, shape (k, 4), optional
+    along : shape (k, 4)
         Directions in which left radius, right radius, track and front radius may change; all by default.
-    start : Fitted, optional
+    start
         Where to begin (its calibration; its parameters where the forms are the same).
-    steps : int
+    steps
         At most; a step below a hundredth of the standard uncertainty is the last. 0: stay at the start.
     """
     s = nominal.s

@@ -69,17 +69,17 @@ def search(
 
     Parameters
     ----------
-    nominal : Path
+    nominal
         The model alone.
-    noise : Noise
-    base : Fitted
+    noise
+    base
         The recalibration alone.
-    effects : sequence of Effect
+    effects
         The library; the calibration's own three are left to the recalibration.
-    settings : SearchSettings, optional
-    start : SearchResult, optional
+    settings
+    start
         Where to begin, beside another noise level; the recalibration alone by default.
-    passed : callable, optional
+    passed
         Called before each pass.
     """
     settings = settings or SearchSettings()

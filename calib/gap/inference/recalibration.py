@@ -136,18 +136,18 @@ def weigh_subsets(
 
     Parameters
     ----------
-    system : LinearSystem
-    model : sequence of int
+    system
+    model
         Forms, by their numbers in the system.
-    sizes : sequence of array of float
+    sizes
         Size of each, in typical sizes.
-    values : array of float, shape (3,)
+    values : shape (3,)
         Relative size of each calibration parameter, all free.
-    covariance : array of float, shape (4 + n_parameters, 4 + n_parameters)
+    covariance : shape (4 + n_parameters, 4 + n_parameters)
         Of left radius, right radius, track and front radius, relative, and the sizes.
-    settings : SearchSettings
+    settings
         Assumptions of the search.
-    shifts : mapping of str to tuple of str
+    shifts
         Calibration parameters that another zero point of each effect would look like.
     """
     directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T

@@ -236,17 +236,17 @@ def scalar_products(
 
     Parameters
     ----------
-    reduced : Reduced
+    reduced
         Nuisances, columns, gap, a wide form's columns, those common to all blocks.
-    kinds : sequence of tuple
+    kinds
         Components of the lack of fit, each with its number.
-    common : dict of int to slice
+    common
         Places of columns common to all blocks, by number.
-    sizes : tuple of int
+    sizes
         Numbers of nuisances, columns and a wide form's columns.
-    scales : sequence of float
+    scales
         Of the lack of fit.
-    prior_rest : float
+    prior_rest
         Prior odds of a lack of fit.
     """
     m, p, w = sizes

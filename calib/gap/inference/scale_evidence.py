@@ -119,13 +119,13 @@ def scale_gains(
 
     Parameters
     ----------
-    local : LocalSearch
-    weight : array of float, shape (n_scales, n_models)
+    local
+    weight : shape (n_scales, n_models)
         Log weights beside the noise as it was estimated.
-    likely : iterable of int
+    likely
         Models to integrate; the gain of the others is the least of theirs.
-    models : list of tuple of int
-    window : float
+    models
+    window
         Weights this far below the best are not integrated; that of noise alone is by `NOISE_WINDOW`.
     """
     evidence, gains = ScaleEvidence(local.system), np.full(weight.shape, np.nan)

@@ -172,13 +172,13 @@ def scan_route(
 
     Parameters
     ----------
-    kind : str
-    traces : list of Trace
-    channel : Channel
+    kind
+    traces
+    channel
         Along or heading.
-    rng : numpy.random.Generator
+    rng
         For the bootstrap.
-    signed : bool
+    signed
         Look for a gap of the other sign on the way back.
     """
     from scipy.special import stdtr

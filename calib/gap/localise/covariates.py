@@ -87,13 +87,13 @@ def covariate_test(
 
     Parameters
     ----------
-    name : str
-    values : array of float or str, shape (n_units,)
-    scaled : array of float, shape (n_units, n_channels)
+    name
+    values : shape (n_units,)
+    scaled : shape (n_units, n_channels)
         Gap over noise level; NaN where a unit lacks the channel.
-    weights : array of float, shape (n_draws, n_units)
+    weights : shape (n_draws, n_units)
         How often the bootstrap draws each unit.
-    most_dof : float
+    most_dof
         How well the noise level is known.
 
     Returns

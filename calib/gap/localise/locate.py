@@ -125,18 +125,18 @@ def locate(
 
     Parameters
     ----------
-    nominal : Path
+    nominal
         The model alone, of the observations.
-    noise : Noise
-    gap : array of float, shape (n_units, n_channels)
+    noise
+    gap : shape (n_units, n_channels)
         Measured minus simulated; 0 where a unit lacks the channel.
-    floor : array of float, shape (n_units, n_channels), optional
+    floor : shape (n_units, n_channels)
         What the gap is shown against; by default that of `noise`.
-    rng : numpy.random.Generator
+    rng
         For the bootstrap.
-    campaign : Campaign, optional
+    campaign
         The same runs with their logs: without it, no places inside runs.
-    left : array of float, shape (n_units, n_channels), optional
+    left : shape (n_units, n_channels)
         The gap with its causes fitted.
     """
     observations, lines = nominal.s, _tested(nominal, noise, gap, rng)

@@ -69,8 +69,6 @@ Value = TypeVar("Value")
 
 
 class _KeptIfFew(Generic[Value]):
-    """A property of steps, kept unless they are too many."""
-
     def __init__(self, make: "Callable[[Observations], Value]") -> None:
         self.make, self.__doc__ = make, make.__doc__
 

@@ -164,14 +164,14 @@ def replicates(
 
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         Its vehicle scales the loads that are told apart; its further columns tell cells apart.
-    driven : WheelTravel
-    heading_rad : array of float, shape (n_obs,)
+    driven
+    heading_rad : shape (n_obs,)
         Measured turn, NaN where not measured.
-    numbers : mapping of str to array of float, shape (n_obs,)
+    numbers : shape (n_obs,)
         Covariates.
-    labels : mapping of str to array of str, shape (n_obs,)
+    labels : shape (n_obs,)
         ``session``, ``kind`` and ``direction``.
     """
     route = row_numbers([routes(driven, heading_rad), labels["direction"], lane_names(labels["kind"])])
