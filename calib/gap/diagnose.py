@@ -87,7 +87,7 @@ def diagnose_in_full(
     sought, planted = _Sought(model, applied, exclude), observations
     campaign, unloaded = (campaign, "") if planted is not None else with_known_loads(campaign)
     situation = sought.situation(campaign) if planted is None else sought.counted(campaign, planted, ())
-    if copied := copied_runs(situation.observations) if planted is None else ():
+    if copied := copied_runs(situation.observations) if planted is None else []:
         campaign = _without(campaign, copied)
         situation = sought.situation(campaign)
     if planted is None and (lone := _lone_run(situation)):
@@ -103,7 +103,7 @@ def diagnose_in_full(
         windows = replace(along.situation(given), omitted=situation.omitted)
         if windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):
             diagnosis = by_windows
-    notes = (f"copies of other runs, which count once: {listed([*copied])}",) * bool(copied) + diagnosis.notes
+    notes = (f"copies of other runs, which count once: {listed(copied)}",) * bool(copied) + diagnosis.notes
     diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence}{unloaded}", notes=notes)
     if not plan or not diagnosis.groups or (evidence := diagnosis.evidence) is None:
         return diagnosis
@@ -156,7 +156,6 @@ def _judged(
 
 
 def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: SearchResult) -> bool:
-    """Return whether assumed effects have plausible sizes, and the correction fails on no held-out route but helps."""
     best, gap = searched.fitted, residuals(nominal, nominal)
     for form, theta in zip(best.forms, best.theta, strict=True):
         if form.effect in assumed and np.linalg.norm(theta / [each.largest for each in form.parameters]) > 1.0:
@@ -222,7 +221,6 @@ class _Sought:
         return self.counted(campaign, observations, notes)
 
     def corrected(self, campaign: Campaign, turned: TurnedReference, as_read: FloatArray | None) -> Situation:
-        """Return what was driven with the reference's mounting corrected."""
         campaign = turned.correct(campaign)
         return self.counted(campaign, *self.observed(campaign, self.applied), (turned,), as_read)
 
@@ -234,7 +232,7 @@ class _Sought:
         faults: tuple[TurnedReference, ...] = (),
         as_counted: FloatArray | None = None,
     ) -> Situation:
-        """Return what was driven with a blunder of the encoders corrected; `as_counted`: the gap as first read."""
+        # `as_counted`: the gap as first read
         nominal = predict(observations)
         fault = None if EncoderBlunder.id in self.exclude else find_blunder(observations, nominal)
         if fault is None:
@@ -244,7 +242,6 @@ class _Sought:
         return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
 
     def observed(self, campaign: Campaign, applied: Sequence[EffectSection]) -> tuple[Observations, tuple[str, ...]]:
-        """Return what was driven, and notes."""
         observations = observations_of(campaign, self.model, into_windows=self.into_windows)
         if np.isfinite(observations.simulated).any():
             observations = as_simulated(observations)

@@ -48,7 +48,6 @@ class _Sized:
 
     @property
     def squares(self) -> tuple[float, float]:
-        """Whitened squares of what it does, and their standard uncertainty."""
         contribution = self.columns @ self.theta
         gram = self.columns.T @ self.columns
         spread = gram @ self.covariance

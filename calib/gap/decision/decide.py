@@ -124,7 +124,7 @@ def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
     notes, odd = [*implausible(campaign)], [note.run_id for note in loads_against_payload(campaign) if note.run_id]
     # of most runs vehicle or payloads may be what is wrong
     if 0 < 2 * len(odd) < len(campaign.runs):
-        text = "vehicle and payload ask for other loads, as the other runs have them; check the unit and the weighing"
+        text = "vehicle and payload ask for other loads; check unit and weighing"
         notes.append(Note("wrong", f"runs {listed(odd)}, load_left_N, load_right_N", text))
     return [note for note in notes if of_load or "load" not in note.where]
 

@@ -155,9 +155,7 @@ def measure_closure(
 
     Parameters
     ----------
-    left_out
-    rng
-        For the bootstrap.
+    left_out, rng
     sessions
         Hold sessions out where there are three or more; else conditions.
     floor_factor

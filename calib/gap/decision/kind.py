@@ -75,12 +75,8 @@ def kind_of(
 
     Parameters
     ----------
-    gap_probability
-        Of any gap.
-    causes
-        What would be named.
-    closure
-        On held-out runs.
+    gap_probability, causes, closure
+        Of any gap; what would be named; on held-out runs.
     incomplete
         Whether the correction fails on held-out runs, or a large cause differs in size between groups.
     unexplained_share

@@ -38,7 +38,6 @@ class _OfColumn(Proportional):
         self.title = title or f"an influence of the column {column}"
 
     def quantity(self, observations: Observations) -> FloatArray:
-        """Return the column."""
         return observations.number(self.column)
 
 

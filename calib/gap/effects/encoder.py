@@ -41,7 +41,6 @@ class WheelEccentricity(Effect):
         kept: WeakKeyDictionary[Path, dict[str, list[Perturbation]]] = WeakKeyDictionary()
 
         def perturbations(path: Path, sides: Sequence[str]) -> list[Perturbation]:
-            """Return the perturbations of wheels; kept, as two forms ask for each."""
             if path not in kept:
                 s = path.s
                 lefts = _eccentric(s, s.phase_left_rad, s.roll_left_rad, s.radius_left_m)

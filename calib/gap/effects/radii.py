@@ -32,7 +32,6 @@ class _Calibration(Effect):
     acts_on: ClassVar[str]
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form."""
         ones, parameter = np.ones(len(observations)), self.parameter
         if self.acts_on == "track" and observations.vehicle.drive == "skid":
             parameter = replace(parameter, largest=SKID_TRACK - 1.0)

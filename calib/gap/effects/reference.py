@@ -22,7 +22,6 @@ class _OfRangefinder(Effect):
     parameter: ClassVar[Parameter]
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none without a laser distance."""
         if not observations.usable[:, Channel.DISTANCE].any():
             return []
 

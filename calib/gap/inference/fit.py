@@ -79,14 +79,11 @@ def hypothesis_path(
 
     Parameters
     ----------
-    s
+    s, forms, about
     calibration : shape (4,)
         Relative change of left radius, right radius, track, front radius.
-    forms
     theta : each shape (n_parameters,)
         Sizes of each form, in its parameters' units.
-    about
-        Where the perturbations are taken.
     """
     pushes = calibration_pushes(s, calibration, about)
     acting = [(form, sizes) for form, sizes in zip(forms, theta, strict=True) if np.any(sizes != 0)]
@@ -146,7 +143,6 @@ class _Misfit:
         return float(white @ white + np.sum((scaled / self.prior_sd) ** 2))
 
     def gauss_newton(self, path: Path, scaled: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return normal matrix (n_parameters, n_parameters) and step (n_parameters,)."""
         gap = residuals(path, self.nominal)[:, :, None]
         whole = whitened_rows(path, self.noise, np.append(hypothesis_columns(path, self.forms), gap, axis=2))
         a, r = whole[:, :-1], whole[:, -1]
@@ -174,11 +170,7 @@ def fit(
 
     Parameters
     ----------
-    nominal
-        The model alone.
-    noise
-    forms
-        Effects to fit.
+    nominal, noise, forms
     along : shape (k, 4)
         Directions in which left radius, right radius, track and front radius may change; all by default.
     start

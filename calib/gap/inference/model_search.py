@@ -69,14 +69,11 @@ def search(
 
     Parameters
     ----------
-    nominal
-        The model alone.
-    noise
+    nominal, noise, settings
     base
         The recalibration alone.
     effects
         The library; the calibration's own three are left to the recalibration.
-    settings
     start
         Where to begin, beside another noise level; the recalibration alone by default.
     passed

@@ -136,7 +136,7 @@ def weigh_subsets(
 
     Parameters
     ----------
-    system
+    system, settings
     model
         Forms, by their numbers in the system.
     sizes
@@ -145,8 +145,6 @@ def weigh_subsets(
         Relative size of each calibration parameter, all free.
     covariance : shape (4 + n_parameters, 4 + n_parameters)
         Of left radius, right radius, track and front radius, relative, and the sizes.
-    settings
-        Assumptions of the search.
     shifts
         Calibration parameters that another zero point of each effect would look like.
     """

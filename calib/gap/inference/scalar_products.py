@@ -244,10 +244,8 @@ def scalar_products(
         Places of columns common to all blocks, by number.
     sizes
         Numbers of nuisances, columns and a wide form's columns.
-    scales
-        Of the lack of fit.
-    prior_rest
-        Prior odds of a lack of fit.
+    scales, prior_rest
+        Of the lack of fit, and its prior odds.
     """
     m, p, w = sizes
     core, apart = slice(0, m + p + 1), slice(m + p + 1, m + p + 1 + w)

@@ -119,12 +119,11 @@ def scale_gains(
 
     Parameters
     ----------
-    local
+    local, models
     weight : shape (n_scales, n_models)
         Log weights beside the noise as it was estimated.
     likely
         Models to integrate; the gain of the others is the least of theirs.
-    models
     window
         Weights this far below the best are not integrated; that of noise alone is by `NOISE_WINDOW`.
     """

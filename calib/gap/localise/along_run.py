@@ -149,14 +149,12 @@ class _Route:
     on_floor: bool  #: whether the grid is on the ground
 
     def read(self, trace: Trace, values: FloatArray) -> FloatArray:
-        """Return what a run accumulated on the grid, (n_grid,)."""
         if self.on_floor and trace.back:
             # gained between places on the ground, either way
             return -np.interp(self.length_m - self.grid, trace.way_m, values)
         return np.interp(self.grid, trace.way_m, values)
 
     def on_the_floor(self, place_m: float) -> tuple[float, float]:
-        """Return x and y of a place on the ground, by the first run."""
         trace = self.traces[0]
         way = self.length_m - place_m if self.on_floor and trace.back else place_m
         x, y = (float(np.interp(way, trace.way_m, values)) for values in (trace.x_m, trace.y_m))
@@ -172,12 +170,9 @@ def scan_route(
 
     Parameters
     ----------
-    kind
-    traces
+    kind, traces, rng
     channel
         Along or heading.
-    rng
-        For the bootstrap.
     signed
         Look for a gap of the other sign on the way back.
     """

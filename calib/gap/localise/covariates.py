@@ -168,7 +168,7 @@ class _Dependence:
         return total, explained, n
 
     def p_value(self, most_dof: float) -> float:
-        """Return p of an F test, the residual no smaller or better known than the noise level."""
+        # the residual is no smaller or better known than the noise level
         from scipy.special import fdtrc
 
         total, explained, n = (float(part[0]) for part in self.squares(np.ones((1, len(self.y)))))
@@ -177,7 +177,6 @@ class _Dependence:
         return float(fdtrc(self.df, min(dof, most_dof), max(explained, 0.0) / self.df / residual))
 
     def shares(self, weight: FloatArray) -> FloatArray:
-        """Return the explained share of variance above the noise level for weights (n_draws, n)."""
         total, explained, n = self.squares(weight)
         return _share(explained, self.df, total - explained, n - self.df - 1.0, total - (n - 1.0))
 

@@ -125,15 +125,12 @@ def locate(
 
     Parameters
     ----------
-    nominal
-        The model alone, of the observations.
-    noise
+    nominal, noise
     gap : shape (n_units, n_channels)
         Measured minus simulated; 0 where a unit lacks the channel.
     floor : shape (n_units, n_channels)
         What the gap is shown against; by default that of `noise`.
     rng
-        For the bootstrap.
     campaign
         The same runs with their logs: without it, no places inside runs.
     left : shape (n_units, n_channels)

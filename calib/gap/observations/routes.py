@@ -164,9 +164,8 @@ def replicates(
 
     Parameters
     ----------
-    campaign
-        Its vehicle scales the loads that are told apart; its further columns tell cells apart.
-    driven
+    driven, campaign
+        Whose vehicle scales the loads that are told apart, and whose further columns tell cells apart.
     heading_rad : shape (n_obs,)
         Measured turn, NaN where not measured.
     numbers : shape (n_obs,)
