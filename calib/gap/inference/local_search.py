@@ -292,6 +292,7 @@ class SearchResult:
     rest: float  #: probability of a lack of fit
     weighting: Weighting  #: beside the best hypothesis
     nothing: float  #: probability of neither an effect nor a lack of fit, recalibration free
+    gains: FloatArray  #: of no effect, see `weigh_subsets`
 
     @property
     def effects(self) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import LocalSearch, Model, SearchResult, SearchSettings
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
-from calib.gap.inference.scale_evidence import NOISE_WINDOW, ScaleEvidence, scale_gains
+from calib.gap.inference.scale_evidence import NOISE_WINDOW, ScaleEvidence, held_gain, scale_gains
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray
 
@@ -125,6 +125,7 @@ def search(
         rest=float(weighed.probability[~local.is_noise].sum()),
         weighting=local.weighting(),
         nothing=at_base.nothing,
+        gains=weighed.gains,
     )
 
 
@@ -229,6 +230,7 @@ class _WeighedModels:
     is_noise: BoolArray  #: shape (n_scales,): scales without a lack of fit
     as_believed: float  #: probability of the calibration as believed without an effect; 1 where that is unlikely
     current_weight: float  #: log weight of the current model
+    gains: FloatArray  #: see `weigh_subsets`
 
     @property
     def nothing(self) -> float:
@@ -240,12 +242,16 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     total = np.logaddexp.reduce(weight, axis=0)
     likely = [int(n) for n in np.argsort(-total)[:_MAX_LIKELY_MODELS] if total[n] > total.max() - _LIKELY_WINDOW]
     none, is_noise = models.index(()), local.is_noise
+    gains = np.zeros((2, len(weight)))
     near = none in likely or weight[is_noise, none].max() > total.max() - NOISE_WINDOW
     if near and ScaleEvidence.is_open(local.system):
         # where there surely is a gap, the estimated noise serves
         integrated = {*likely, none, models.index(local.current)}
-        gained = weight + scale_gains(local, weight, integrated, models, _LIKELY_WINDOW)
+        gain = scale_gains(local, weight, integrated, models, _LIKELY_WINDOW)
+        gained = weight + gain
         if none in likely or gained[is_noise, none].max() > gained.max() - _LIKELY_WINDOW:
+            gains = np.stack([gain[:, none]] * 2)
+            gains[0, 0] = held_gain(local)
             weight = gained
     weighting, over_free, as_believed = local.weighting(), dict[int, float](), 1.0
     if local.system.path.s.calibration_held:
@@ -253,7 +259,7 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
         likely, over_free = [], dict.fromkeys(range(len(models)), 0.0)
     for n in {*likely, models.index(local.current)} - over_free.keys():
         free = free_estimates(local.system, models[n], weighting)
-        subsets = weigh_subsets(local.system, models[n], *free, local.settings, shifts)
+        subsets = weigh_subsets(local.system, models[n], *free, local.settings, shifts, gains)
         over_free[n] = subsets.over_free
         if not models[n]:
             as_believed = float(subsets.probabilities[SUBSETS.index(())])
@@ -261,7 +267,7 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
     current_weight = float(np.logaddexp.reduce(weight[:, models.index(local.current)]))
-    return _WeighedModels(models, probability / probability.sum(), local.is_noise, as_believed, current_weight)
+    return _WeighedModels(models, probability / probability.sum(), local.is_noise, as_believed, current_weight, gains)
 
 
 def _near(moved: _Settled, left: Fitted) -> _Settled | None:

@@ -128,6 +128,7 @@ def weigh_subsets(
     covariance: FloatArray,
     settings: SearchSettings,
     shifts: Mapping[str, tuple[str, ...]],
+    gains: FloatArray | float = 0.0,
 ) -> SubsetWeights:
     """Weigh the subsets of the calibration's parameters beside some forms.
 
@@ -147,6 +148,8 @@ def weigh_subsets(
         Of left radius, right radius, track and front radius, relative, and the sizes.
     shifts
         Calibration parameters that another zero point of each effect would look like.
+    gains : shape (2, n_scales)
+        Of log weights beside no effect where the noise's scales are open: as believed, and of any other calibration.
     """
     directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
     norm = np.maximum(np.sqrt((directions**2).sum(axis=0)), 1e-12)
@@ -171,11 +174,13 @@ def weigh_subsets(
     columns = np.concatenate([per_way, system.calibration[:, :3]], axis=1)
     sums = system.sums_of(columns, np.concatenate(fixed, axis=1), deviations, prior_rest=settings.prior_rest)
 
+    held, free = np.broadcast_to(0.0 if len(model) else gains, (2, len(sums.log_prior)))
+
     def weight(picked: Sequence[int], scale: float) -> float:
         gram, right = sums.gram[:, picked][:, :, picked], sums.right[:, picked]
         log_det, gain = log_evidence_parts(gram, right, np.full(len(picked), scale**2))
         value = log_marginal(sums.square - gain, sums.log_det + log_det, sums.n_rows)
-        return float(np.logaddexp.reduce(value + sums.log_prior))
+        return float(np.logaddexp.reduce(value + sums.log_prior + (free if len(picked) else held)))
 
     def of_subset(subset: tuple[int, ...]) -> float:
         if not subset:
@@ -234,11 +239,13 @@ def judge_recalibration(
     shifts = shifts or {}
     units = np.concatenate([np.ones(4), *(form.typical for form in fitted.forms)])
     covariance = fitted.covariance / np.outer(units, units)
-    weighed = [(1.0, weigh_subsets(system, range(len(own)), own, values, covariance, settings, shifts).probabilities)]
+    gains = 0.0 if search is None else search.gains
+    of_own = weigh_subsets(system, range(len(own)), own, values, covariance, settings, shifts, gains)
+    weighed = [(1.0, of_own.probabilities)]
     if search is not None:
         for model, weight in search.alternatives:
             free = free_estimates(search.system, model, search.weighting)
-            weighed.append((weight, weigh_subsets(search.system, model, *free, settings, shifts).probabilities))
+            weighed.append((weight, weigh_subsets(search.system, model, *free, settings, shifts, gains).probabilities))
     instead = {name: _instead(k, fitted, search, weighed) for k, name in enumerate(NAMES)}
     total = sum(weight for weight, _ in weighed)
     probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total

@@ -133,13 +133,18 @@ def scale_gains(
             continue
         for scale in {0, int(np.argmax(weight[:, n]))}:
             # what differs between runs without repeats is no noise estimated too small
-            alone = scale == 0 and not models[n] and local.system.noise.supported
+            alone = not models[n] and local.system.noise.supported
             if weight[scale, n] > weight.max() - (NOISE_WINDOW if alone else window):
                 gains[scale, n] = evidence.gain(_columns(local, models[n], scale))
     if not np.isfinite(gains).any():
         return np.zeros(weight.shape)
     least = np.where(np.isfinite(gains), gains, np.inf).min(axis=0)
     return np.where(np.isfinite(gains), gains, np.where(np.isfinite(least), least, least.min()))
+
+
+def held_gain(local: LocalSearch) -> float:
+    """Return the same for noise alone, the calibration as believed."""
+    return ScaleEvidence(local.system).gain(local.system.calibration[:, 3:])
 
 
 def _columns(local: LocalSearch, model: Model, scale: int) -> FloatArray:

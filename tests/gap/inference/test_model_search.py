@@ -168,7 +168,7 @@ def test_of_sets_that_take_turns_the_smallest_or_the_likeliest_about_its_own_pat
     def weigh(local: Sets) -> _WeighedModels:
         models = [each[local.current_effects], local.current_effects]
         at_hand = 1.0 if (local.current_effects == other) is better else 0.0
-        return _WeighedModels(models, np.array([[0.6, 0.4]]), np.array([True]), 1.0, at_hand)  # type: ignore[arg-type]
+        return _WeighedModels(models, np.array([[0.6, 0.4]]), np.array([True]), 1.0, at_hand, np.zeros((2, 1)))  # type: ignore[arg-type]
 
     start = Sets(("a",) if first else other)
     settle = lambda local, fitted: (local, None)  # noqa: E731
@@ -178,7 +178,7 @@ def test_of_sets_that_take_turns_the_smallest_or_the_likeliest_about_its_own_pat
 
 def test_a_set_whose_fit_runs_away_is_not_moved_to() -> None:
     def weigh(local: Sets) -> _WeighedModels:
-        return _WeighedModels([("b",), ("a",)], np.array([[0.6, 0.4]]), np.array([True]), 1.0, 0.0)  # type: ignore[list-item]
+        return _WeighedModels([("b",), ("a",)], np.array([[0.6, 0.4]]), np.array([True]), 1.0, 0.0, np.zeros((2, 1)))  # type: ignore[list-item]
 
     kept, _, _ = _most_probable(Sets(("a",)), None, False, lambda local, fitted: None, weigh)  # type: ignore[arg-type]
     assert kept.current_effects == ("a",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -39,6 +40,9 @@ from tests.gap.effects.making import (
 #: ten draws of some 50 degrees of freedom each scatter by 5 %, the true variance by 7 % in each channel and by 3 % over
 #: four, the bias allowed is 5 %
 MEAN_VARIANCE_REL = 0.15
+#: a reference's positions over what is stated of them, and what their estimate may be off by: the mean of twenty that
+#: scatter by a quarter, and a tenth for what the stated sigma still pulls at it
+COARSE, COARSE_REL = 3.0, 0.15
 NAMES = [name for name, _, _ in COMPONENTS]
 SIGMA_DISTANCE_M, SIGMA_XY_M, SIGMA_RAD = 0.0015, 0.002, 0.0008
 
@@ -276,3 +280,23 @@ def test_variances_are_the_true_ones(design: str, scatter: str) -> None:
     """Sixty runs: the mean of ten estimates against the variance of 400 runs whose every parameter is known."""
     quotient = noise_bias.ratio((design, scatter, 60), draws=10, seed=11, n_true=400)
     assert np.exp(np.nanmean(np.log(quotient))) == pytest.approx(1.0, rel=MEAN_VARIANCE_REL)
+
+
+def test_positions_three_times_as_coarse_as_stated_are_no_walk_of_the_heading() -> None:
+    """Forty runs of a vehicle whose heading walks 9e-4 rad per sqrt(m): what is estimated of the positions' noise."""
+
+    def truth_of(rng: np.random.Generator) -> Callable[[Run, Motion], None]:
+        walk = noise_bias.truth_of("heading walk", rng)
+
+        def truth(run: Run, now: Motion) -> None:
+            walk(run, now)
+            now.end_x_m, now.end_y_m, now.yaw_rad = COARSE * now.end_x_m, COARSE * now.end_y_m, 3.0 * now.yaw_rad
+
+        return truth
+
+    scales = []
+    for seed in range(20):
+        truth = truth_of(np.random.default_rng([5, seed]))
+        observations = situation(noise_bias.runs_of(noise_bias.DESIGNS["mixed"], 40), truth=truth)
+        scales.append(estimated(observations).scales["position"])
+    assert np.exp(np.mean(np.log(scales))) == pytest.approx(COARSE, rel=COARSE_REL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from calib.gap.inference.scale_evidence import ScaleEvidence
 from calib.gap.observations.arrays import Channel
 from calib.gap.predict import predict, residuals
 from calib.types import FloatArray
+from tests.gap import noise_bias
 from tests.gap.effects.making import Motion, Run, situation
 
 #: draws of the scales from their prior; of these some thousand count, a standard error of 0.03
@@ -112,3 +114,25 @@ def test_noise_estimated_too_small_makes_no_gap() -> None:
         system = LinearSystem(fit(right.path, noise), right.path, noise, right.forms)
         nothing.append(_weighed(LocalSearch(system, SearchSettings()), {}).nothing)
     assert nothing[1] > 0.5 * nothing[0] > 0.0
+
+
+@pytest.mark.parametrize(("off", "seeds", "believed"), [(0.0, 30, True), (3e-3, 5, False)])
+def test_a_reference_coarser_than_stated_makes_no_radius_wrong(off: float, seeds: int, believed: bool) -> None:
+    """Two dozen runs, positions three times as coarse, which replicates take for a heading's walk in some campaigns.
+
+    The calibration as believed is integrated over the scales as well; radii that are off stay so.
+    """
+    for seed in range(seeds):
+        walk = noise_bias.truth_of("heading walk", np.random.default_rng([5, seed]))
+
+        def truth(run: Run, now: Motion, walk: Callable[[Run, Motion], None] = walk) -> None:
+            walk(run, now)
+            now.end_x_m, now.end_y_m, now.yaw_rad = 3.0 * now.end_x_m, 3.0 * now.end_y_m, 3.0 * now.yaw_rad
+            now.left = now.right = off
+
+        seen = situation(noise_bias.runs_of(noise_bias.DESIGNS["mixed"], 24), truth=truth)
+        no_laser = np.arange(seen.measured.shape[1]) != Channel.DISTANCE
+        nominal = predict(replace(seen, usable=seen.usable & no_laser))
+        noise = estimate_noise(nominal, residuals(nominal, nominal))
+        local = LocalSearch(LinearSystem(fit(nominal, noise), nominal, noise, ()), SearchSettings())
+        assert (_weighed(local, {}).as_believed > 0.5) is believed
