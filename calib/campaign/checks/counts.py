@@ -60,9 +60,8 @@ def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
 
 def _reference_rad(campaign: Campaign) -> FloatArray:
     """Return how far the reference turned in each run: on a map, with absolute headings, by its log."""
-    turned = campaign.runs.number("ref_theta_rad")
+    turned = design.end_headings(campaign)[0]
     if campaign.reference.frame == "map":
-        turned = np.full(len(turned), np.nan)
         for run, log in campaign.logs.each():
             if len(heading := log.get("ref_theta_rad", turned[:0])):
                 steps = np.diff(np.unwrap(heading[np.isfinite(heading)]))

@@ -1,7 +1,8 @@
 """Design of the campaign: assumed settings, loads and sessions, replicates; what all checks share."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from typing import Any, Final
@@ -76,6 +77,27 @@ def rolled_m(campaign: Campaign, side: str, counts: FloatArray | None = None) ->
 def turned_rad(campaign: Campaign, left: FloatArray | None = None, right: FloatArray | None = None) -> FloatArray:
     """Return how far the nominal vehicle turns in these counts, by default in each run."""
     return (rolled_m(campaign, "right", right) - rolled_m(campaign, "left", left)) / campaign.vehicle.track_m
+
+
+#: wheels and reference agree on a heading to this
+_NEAR_TURN_RAD: Final = 1.0
+
+
+def end_headings(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
+    """Return how far the reference turned in each run, and the turns it is off the wheels, infinite where not whole.
+
+    Headings all within half a turn were wrapped by their instrument, which is undone; those in a map are no turns: NaN.
+    """
+    measured = campaign.runs.number("ref_theta_rad") * (math.nan if campaign.reference.frame == "map" else 1.0)
+    turned = turned_rad(campaign)
+    apart = turned - measured
+    turns = np.round(apart / (2 * np.pi))
+    near = np.abs(apart - 2 * np.pi * turns) < _NEAR_TURN_RAD
+    if (np.abs(measured[near]) <= np.pi + 0.05).all():
+        # less than half a turn, by wheels a few percent off, is never wrapped
+        measured = measured + 2 * np.pi * np.where(near & (np.abs(turned) > 3.0), turns, 0.0)
+        turns = 0.0 * turns
+    return measured, np.where(near, turns, turns + math.inf)
 
 
 def raw_radius_ratio(campaign: Campaign, side: str) -> FloatArray:
@@ -308,15 +330,36 @@ def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
             yield cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_repeats")
 
 
+#: no two runs agree by chance in all values to this share of the uncertainty; rounded anew, the same values do
+_SAME_VALUE: Final = 0.01
+
+
 def pasted_rows(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose measured values all repeat an earlier run's."""
-    runs = campaign.runs
-    measured = ("distance_m", "counts_left", "counts_right")
-    seen: dict[tuple[float, ...], int] = {}
-    for run, row in enumerate(zip(*(runs.number(name).tolist() for name in measured), strict=True)):
-        if any(math.isnan(value) or value == 0 for value in row):
+    """Find runs whose counts and measured values all repeat an earlier run's: distance, or end pose and whole log.
+
+    Counts alone may repeat honestly, those of a stepping motor or of few counts a turn.
+    """
+    runs, reference, seen = campaign.runs, campaign.reference, defaultdict[Any, list[tuple[int, Any]]](list)
+    sigmas = campaign.rangefinder.sigma_m, reference.sigma_xy_m, reference.sigma_xy_m, reference.sigma_theta_rad
+    allowed = {name: _SAME_VALUE * sigma for name, sigma in zip(("distance_m", *REFERENCE_POSE), sigmas, strict=True)}
+    for run, counts in enumerate(both_sides(campaign, "counts_{}").T.tolist()):
+        log, row = campaign.logs.of(run), {name: runs.number(name)[run] for name in allowed}
+        counted = math.prod(counts)
+        measured = abs(counted * row["distance_m"]) > 0.0
+        # the end of a closed loop, 0, was not measured
+        if counted == 0.0 or not (measured or log or abs(counted * row["ref_x_m"]) > 0.0):
             continue
-        if row in seen:
-            text = f"all three are those of run {runs.run_id[seen[row]]}; one row may have been pasted twice"
-            yield cell_note(campaign, run, ", ".join(measured), text, "pasted_row")
-        seen.setdefault(row, run)
+        earlier = seen[str(counts), measured or len(log.get("t_s", ()))]
+        for first, of in earlier:
+            if _alike(row, of, allowed) and (measured or _alike(log, campaign.logs.of(first), allowed)):
+                text = f"""counts and all measured values are those of run {runs.run_id[first]}: one measurement, which
+                    counts twice; was it pasted, or recorded under two names? Exclude one of the two"""
+                yield cell_note(campaign, run, "counts_left, counts_right", text, "pasted_row")
+                break
+        earlier.append((run, row))
+
+
+def _alike(one: Mapping[str, Any], other: Mapping[str, Any], allowed: Mapping[str, float]) -> bool:
+    return one.keys() == other.keys() and all(
+        np.allclose(one[name], other[name], rtol=0.0, atol=allowed.get(name, 0.0), equal_nan=True) for name in one
+    )

@@ -43,12 +43,13 @@ def distance_span(campaign: Campaign) -> Iterator[Note]:
     """Find distances that a rangefinder cannot have measured."""
     distance = campaign.runs.number("distance_m")
     low, high = campaign.rangefinder.min_m, campaign.rangefinder.max_m
+    ratio = design.raw_radius_ratio(campaign, "left")
     for run in np.flatnonzero(distance <= 0):
         text = f"found {distance[run]:g} m; expected a positive distance; correct it or flag the run as excluded"
         yield cell_note(campaign, run, "distance_m", text, "distance_span", "wrong")
     for run in np.flatnonzero((distance > 0) & ((distance < low) | (distance > high))):
-        millimetres = high < distance[run] <= 1e3 * high < 1e6
-        hint = "name the column distance_mm" if millimetres else "check the cell, or give rangefinder.min_m and max_m"
+        hint = "name the column distance_mm" if high < distance[run] <= 1e3 * high < 1e6 else ""
+        hint = design.meaning(ratio[run]) or hint or "check the cell, or give rangefinder.min_m and max_m"
         text = f"found {distance[run]:g} m; the rangefinder measures {low:g} to {high:g} m; {hint}"
         yield cell_note(campaign, run, "distance_m", text, "distance_span")
 

@@ -22,8 +22,7 @@ MOST_FAR: Final = 0.05
 CLOCK_FACTORS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 #: a campaign's runs are within this factor of the usual speed
 SPEED_FACTOR: Final = 30.0
-#: wheels and reference agree on a heading to this; only a few runs are a turn off
-NEAR_TURN_RAD: Final = 1.0
+#: only a few runs are a turn off
 MOST_ODD: Final = 0.2
 #: a distance so many times what other runs' wheels make of its counts belongs to another run or unit
 ODD_RATIO: Final = 1.3
@@ -114,18 +113,14 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
 
 def heading_turns(campaign: Campaign) -> Iterator[Note]:
     """Find end headings of a few runs a whole turn off the wheels'."""
-    measured = campaign.runs.number("ref_theta_rad")
-    apart = design.turned_rad(campaign) - measured
-    turns = np.round(apart / (2 * np.pi))
-    near = np.abs(apart - 2 * np.pi * turns) < NEAR_TURN_RAD
-    odd = near & (turns != 0.0)
-    # headings all within half a turn are wrapped by their instrument: no fault
-    wrapped = bool((np.abs(measured[near]) <= np.pi + 0.05).all())
-    # headings in a map are not turns
-    wrapped |= campaign.reference.frame == "map"
-    for run in np.flatnonzero(odd) if not wrapped and odd.sum() <= MOST_ODD * near.sum() else ():
-        text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell"
-        yield design.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
+    turns = design.end_headings(campaign)[1]
+    odd = np.isfinite(turns) & (turns != 0.0)
+    few = odd.sum() <= MOST_ODD * np.isfinite(turns).sum()
+    for _, runs in design.groups_of(campaign.runs.label("session")) if few else ():
+        # a session off by no whole turns has another unit or sign, and no wrong cell
+        for run in runs[odd[runs]] if np.isinf(turns[runs]).mean() <= MOST_ODD else ():
+            text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell"
+            yield design.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
 
 
 def unused_slopes(campaign: Campaign) -> Iterator[Note]:

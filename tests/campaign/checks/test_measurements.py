@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.campaign.checks.measurements import implausible_loads, loads_against_payload
+from calib.campaign.checks.measurements import distance_span, implausible_loads, loads_against_payload
 from calib.campaign.model import Campaign
 from tests.campaign.making import campaign, with_numbers
 
@@ -93,3 +93,12 @@ def test_the_empty_vehicle_tells_a_unit_either_way() -> None:
         kg = _without_places().runs.number("payload_kg")
         made = made.select((kg > 0) | (np.cumsum(kg == 0) <= 3))
         assert sum(TWICE in note.text for note in implausible_loads(made)) == said
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e2, "distance_cm"), (1e3, "distance_mm")])
+def test_the_unit_of_a_distance_beyond_the_rangefinder_is_told_by_the_wheels(factor: float, unit: str) -> None:
+    made = campaign()
+    longer = np.where(made.runs.label("session") == "s2", factor, 1.0) * made.runs.number("distance_m")
+    found = [note.text for note in distance_span(with_numbers(made, distance_m=longer))]
+    assert len(found) == 6
+    assert all(unit in text for text in found)

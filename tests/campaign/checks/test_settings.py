@@ -1,0 +1,66 @@
+"""Checks of what shows in no cell: headings off by whole turns."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from calib.campaign.check import check_campaign
+from calib.campaign.checks.counts import turn_direction
+from calib.campaign.checks.settings import heading_turns
+from calib.campaign.model import Campaign
+from tests.campaign.making import with_numbers
+from tests.kinematics.campaigns import Truth, campaign, square
+
+#: runs of 4 rad to either side, and squares of whole turns
+ROUTES = [
+    (name, legs) for name, sense in (("left", 1), ("right", -1)) for legs in ([(3.0, 4.0 * sense)], square(2.0, sense))
+]
+SESSIONS = np.repeat(["day1", "day2", "day3"], 8)
+
+
+def _driven() -> Campaign:
+    made = campaign(ROUTES * 6, Truth(), np.random.default_rng(1), walk=1e-3)
+    made.runs.labels["session"] = SESSIONS  # type: ignore[index]
+    return made
+
+
+def _wrapped(heading: np.ndarray) -> np.ndarray:
+    return np.angle(np.exp(1j * heading))
+
+
+def test_headings_that_their_instrument_wraps_are_no_fault() -> None:
+    """A turn of 4 rad reads -2.28 rad there, and no wheels are swapped."""
+    made = _driven()
+    wrapped = with_numbers(made, ref_theta_rad=_wrapped(made.runs.number("ref_theta_rad")))
+    assert np.abs(wrapped.runs.number("ref_theta_rad") - made.runs.number("ref_theta_rad")).max() > math.pi
+    assert [note.code for note in check_campaign(wrapped).suspicious if "ref_theta_rad" in note.where] == []
+
+
+def test_swapped_wheels_are_named_beside_wrapped_headings() -> None:
+    """Turns of less than half a turn are not wrapped, and tell it."""
+    routes = [("arc", [(3.0, sense * turn)]) for sense in (1, -1) for turn in (2.0, 2.8)]
+    made = campaign(routes * 3, Truth(), np.random.default_rng(1), walk=1e-3)
+    swapped = {"counts_left": made.runs.number("counts_right"), "counts_right": made.runs.number("counts_left")}
+    (found,) = turn_direction(with_numbers(made, **swapped))
+    assert "in 12 of 12 turning runs" in found.text
+
+
+def test_one_heading_a_turn_off_is_a_wrong_cell() -> None:
+    made = _driven()
+    heading = made.runs.number("ref_theta_rad").copy()
+    heading[5] += 2 * math.pi
+    (found,) = heading_turns(with_numbers(made, ref_theta_rad=heading))
+    assert found.run_id == "r005"
+
+
+def test_a_session_of_another_unit_or_sign_is_no_wrong_cell() -> None:
+    """In degrees, or with a wheel that counts backwards, some runs of a session are near whole turns by chance."""
+    made, day = _driven(), SESSIONS == "day3"
+    heading, left = made.runs.number("ref_theta_rad"), made.runs.number("counts_left")
+    for spoilt in (
+        {"ref_theta_rad": np.where(day, np.degrees(heading), heading)},
+        {"counts_left": left * (1 - 2 * day)},
+    ):
+        assert list(heading_turns(with_numbers(made, **spoilt))) == []
