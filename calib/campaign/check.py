@@ -16,6 +16,7 @@ from calib.campaign.checks.counts import implausible_paths
 from calib.campaign.checks.design import SIDES, both_sides, implausible_column, implausible_setting, setting_note
 from calib.campaign.checks.measurements import MOST_RATIO, implausible_distances, implausible_loads, off
 from calib.campaign.checks.poses import implausible_poses
+from calib.campaign.checks.settings import implausible_senses
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 from calib.types import FloatArray, Progress, silent, split_suffix, stepped
@@ -26,8 +27,8 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
     """Yield what cannot be, as notes of level ``wrong``; rows flagged as excluded are passed over."""
     notes, campaign = _taken_apart(campaign.included())
     yield from notes
-    checks = _settings, _model, implausible_distances, implausible_loads, _columns, implausible_poses, implausible_paths
-    for check in checks:
+    of_columns = implausible_distances, implausible_loads, _columns, implausible_poses
+    for check in (_settings, _model, *of_columns, implausible_paths, implausible_senses):
         yield from check(campaign)
 
 
@@ -151,7 +152,7 @@ _IN_ORDER: Final[tuple[Check, ...]] = (
     settings.log_clock, settings.heading_turns, settings.unused_slopes, settings.pose_resolution,
     settings.rounded_values, settings.shifted_sessions,
     counts.swapped_wheels, counts.turn_direction, counts.clock, counts.count_jumps,
-    counts.log_speed, counts.steered_by_itself,
+    counts.log_speed, counts.steered_by_itself, poses.lost_reference,
     design.far_from_repeats, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
     measurements.reference_load, poses.mirrored_ends, poses.turned_frame, poses.bearing_of_ends,
     poses.stated_uncertainties, poses.track_against_bows, poses.gyro_against_reference, design.load_and_session,
@@ -271,7 +272,7 @@ def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str
 
 
 def assumed_notes(campaign: Campaign) -> tuple[str, ...]:
-    """Return what nobody stated and results rest on, as one sentence; nothing where all is stated."""
+    """Return what nobody stated and results rest on."""
     return tuple(note.sentence for note in design.assumed_values(campaign))
 
 

@@ -285,6 +285,14 @@ def _shifted_sessions(_: Campaign) -> Campaign:
     return replace(made, runs=replace(made.runs, labels=labels))
 
 
+def _frozen_reference(made: Campaign) -> Campaign:
+    """Positions along the path, those of run 3 at rest for its second half."""
+    x = 2 * np.pi * 0.099 / 4096 * made.logs.columns["counts_left"]
+    part = slice(made.logs.offsets[3], made.logs.offsets[4])
+    x[part] = np.minimum(x[part], 20.0)
+    return with_log_columns(made, ref_x_m=x, ref_y_m=0.0 * x)
+
+
 def _gyro_of_wrong_scale(made: Campaign) -> Campaign:
     """Turns of 1 rad by a reference to 2 mrad; the gyro reads 1 % more, beyond half a turn too."""
     rng = np.random.default_rng(4)
@@ -325,6 +333,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("clock", "clock_jump", "suspicious", _log("t_s", _jump_later(4.0)), "r003"),
     ("clock", "clock_jump", "suspicious", _log("t_s", _jump_later(-4.0)), "r003"),
     ("dead_counters", "dead_counter", "suspicious", number("counts_left", lambda _: 0.0, 4), "r004"),
+    ("lost_reference", "lost_reference", "suspicious", _frozen_reference, "r003"),
     ("count_jumps", "count_jump", "suspicious", _log("counts_left", _count_jump), "r003"),
     ("steered_by_itself", "steered_by_itself", "suspicious", steered_by_itself, ""),
     ("unused_slopes", "unused_slopes", "suspicious", _law_of_others, ""),

@@ -17,13 +17,13 @@ from calib.campaign.checks.design import (
     robust_spread,
     turned_rad,
 )
-from calib.campaign.checks.measurements import factor_reason, off_line
+from calib.campaign.checks.measurements import factor_reason, odd_sessions, off_line
 from calib.campaign.checks.poses import POSITION_UNITS
 from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
-from calib.campaign.wheels import odometry_source, on_one_axle, steered_itself_m
+from calib.campaign.wheels import steered_itself_m
 from calib.types import BoolArray, ComplexArray, FloatArray
 
 #: a radius of one run this far from nominal is reported
@@ -51,28 +51,16 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
 
 
 def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
-    """Find wheels that rolled alike in every run: a vehicle steered by them draws the arc of its radii."""
+    """Find wheels that rolled alike in every run."""
     if (apart_m := steered_itself_m(campaign)) >= 0.0:
         text = f"""the wheels of all runs along a line rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems
             to have steered by its own counts, which hides what its radii differ by; measure ref_theta_rad at the end"""
         yield column_note("counts_left, counts_right", text, "steered_by_itself")
 
 
-def _reference_rad(campaign: Campaign) -> FloatArray:
-    """Return how far the reference turned in each run: on a map, with absolute headings, by its log."""
-    turned = design.end_headings(campaign)[0]
-    if campaign.reference.frame == "map":
-        for run, log in campaign.logs.each():
-            if len(heading := log.get("ref_theta_rad", turned[:0])):
-                steps = np.diff(np.unwrap(heading[np.isfinite(heading)]))
-                # between poses further apart it may have turned round any number of times
-                turned[run] = steps.sum() if np.abs(steps).max(initial=0.0) < 1.0 else np.nan
-    return turned
-
-
 def dead_counters(campaign: Campaign) -> Iterator[Note]:
-    """Find wheels without a count while the other turned and the vehicle did not turn about the first."""
-    runs, turn, reference = campaign.runs, turned_rad(campaign), _reference_rad(campaign)
+    """Find wheels without a count while the vehicle moves."""
+    runs, turn, reference = campaign.runs, turned_rad(campaign), design.reference_turns(campaign)[0]
     otherwise = np.abs(turn - reference) > 0.5 * np.abs(turn)
     otherwise |= (runs.number("distance_m") > 1.0) & np.isnan(reference)
     for side, other in (SIDES, SIDES[::-1]):
@@ -90,7 +78,7 @@ def dead_counters(campaign: Campaign) -> Iterator[Note]:
 
 
 def count_scale(campaign: Campaign) -> Iterator[Note]:
-    """Find counts off by a factor 2, 4, pi or 1000, overflowed totals, and other implausible radii."""
+    """Find counts off by a factor, and overflowed totals."""
     for side in SIDES:
         ratio = np.abs(design.raw_radius_ratio(campaign, side))
         if not (known := np.isfinite(ratio)).any():
@@ -170,7 +158,7 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
 
 def turn_direction(campaign: Campaign) -> Iterator[Note]:
     """Compare the sense of turning by counts with reference heading and steering angle."""
-    turned, reference = turned_rad(campaign), _reference_rad(campaign)
+    turned, reference = turned_rad(campaign), design.reference_turns(campaign)[0]
     clear = (np.abs(reference) > 0.5) & (np.abs(turned) > 0.25)
     against = clear & (np.abs(turned + reference) < 0.3 * np.abs(turned - reference))
     yield from _turns(campaign, clear, against, "ref_theta_rad", "the reference turns the other way")
@@ -204,7 +192,7 @@ SHORTEST_STEP_S: Final = 9e-6
 
 
 def clock(campaign: Campaign) -> Iterator[Note]:
-    """Find gaps (the vehicle moved on), clock jumps (it did not), and time that stands or runs back."""
+    """Find gaps, clock jumps, and time that stands or runs back."""
     uneven: list[Note] = []
     for run, log in campaign.logs.each(5):
         time, step = log["t_s"], np.diff(log["t_s"])
@@ -246,7 +234,7 @@ def clock(campaign: Campaign) -> Iterator[Note]:
 
 
 def count_jumps(campaign: Campaign) -> Iterator[Note]:
-    """Find steps of a counter far beyond all others of the log, by a lost or disturbed encoder."""
+    """Find steps of a counter far beyond all others of the log."""
     for run, log in campaign.logs.each(20):
         # a gap in time may hold many counts
         time_step = np.diff(log["t_s"]) if "t_s" in log else np.ones(int(campaign.logs.lengths[run]) - 1)
@@ -280,10 +268,8 @@ def _speed_note(speed: float) -> Iterator[Note]:
 
 
 def log_speed(campaign: Campaign) -> Iterator[Note]:
-    """Compare the log's speed while driving with the set speed, and with what vehicles drive at."""
-    # four mecanum wheels amount to two on an axle only with a known l + w
-    if odometry_source(campaign) != "wheels" or campaign.vehicle.half_length_plus_half_width_m is not None:
-        campaign = on_one_axle(campaign)
+    """Compare the log's speed with the set speed, and with what vehicles drive at."""
+    campaign = design.on_axle(campaign)
     speed = campaign.runs.number("speed_mps")
     ratios, driven = np.full(len(speed), np.nan), np.full(len(speed), np.nan)
     for run, log in campaign.logs.each(20):
@@ -319,9 +305,9 @@ _MOST_RATIO: Final = 3.0
 
 
 def implausible_paths(campaign: Campaign) -> Iterator[Note]:
-    """Yield positions in another unit or on a line where the vehicle turns, and two wheels with the same counts."""
-    ratios, lines, alike = [], [], []
-    for _, log in campaign.logs.each():
+    """Yield positions in another unit or on a line, and two wheels with the same counts."""
+    ratios, lines, alike = np.full(len(campaign.runs), np.nan), [], []
+    for run, log in campaign.logs.each():
         if not log.keys() >= {"ref_x_m", "ref_y_m", "counts_left", "counts_right"}:
             continue
         x, y, left, right = (log[name] for name in ("ref_x_m", "ref_y_m", "counts_left", "counts_right"))
@@ -335,7 +321,7 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
         # in turns on the spot the reference moves, the axle does not
         straight = (np.abs(np.diff(turned)) < _STRAIGHT_RAD) & (np.abs(rolled) > 0.5 * np.abs(wheels).max())
         ratio = np.abs(np.diff(position)[straight] / rolled[straight])
-        ratios += [float(np.median(ratio))] if straight.any() else []
+        ratios[run] = np.median(ratio) if straight.any() else np.nan
         length, width = _length_and_width(position)
         alike += [bool((left == right)[known].all())] if width > _AREA * length and rolled.any() else []
         # of a path that bends one axis moves at another speed than the wheels; wrong counts bend a straight one evenly
@@ -351,11 +337,17 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
             yield implausible_column(columns, text, of="logs")
             return
     stated = all(design.stated(campaign, key) for key in ("vehicle.wheel_radius_m", "encoder.counts_per_rev"))
-    ratio = float(np.median(ratios)) if stated and len(ratios) >= LEAST_RUNS else 1.0
+    known = ratios[np.isfinite(ratios)]
+    ratio = float(np.median(known)) if stated and len(known) >= LEAST_RUNS else 1.0
     if ratio > _MOST_RATIO:
         unit = design.meaning(ratio, POSITION_UNITS)
         hint = f"are they in {unit}?" if unit else "check their unit, wheel_radius_m and counts_per_rev"
         text = f"positions along the path move {ratio:.3g} times as far as the wheels; expected as far; {hint}"
+        yield implausible_column("ref_x_m, ref_y_m", text, of="logs")
+    for name, ratio in odd_sessions(campaign, ratios):
+        unit = design.meaning(ratio, POSITION_UNITS)
+        hint = f"are they in {unit}?" if unit else factor_reason(ratio)
+        text = f"in session {name} positions along the path move {ratio:.3g} times as far as in most runs; {hint}"
         yield implausible_column("ref_x_m, ref_y_m", text, of="logs")
 
 

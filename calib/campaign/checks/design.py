@@ -2,14 +2,15 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
-from itertools import combinations
+from itertools import combinations, islice
 from typing import Any, Final
 
 import numpy as np
 
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
+from calib.campaign.wheels import odometry_source, on_one_axle
 from calib.types import FloatArray, IntArray, StrArray
 
 SIDES: Final = ("left", "right")
@@ -49,7 +50,7 @@ def cell_note(campaign: Campaign, run: Run, column: str, text: str, code: str, l
 
 
 def column_note(columns: str, text: str, code: str, level: str = "suspicious", of: str = "runs") -> Note:
-    """Return a note on columns, named with commas between them, of the run table or the logs; see `cell_note`."""
+    """Return a note on columns of the run table or the logs; see `cell_note`."""
     return Note.of(f"{of}, column{'s' if ', ' in columns or ' and ' in columns else ''} {columns}", text, code, level)
 
 
@@ -68,6 +69,12 @@ def both_sides(campaign: Campaign, quantity: str) -> FloatArray:
     return np.stack([campaign.runs.number(quantity.format(side)) for side in SIDES])
 
 
+def on_axle(campaign: Campaign) -> Campaign:
+    """Return the campaign with counts of two wheels on an axle; of mecanum wheels, only where l + w is known."""
+    unknown = odometry_source(campaign) == "wheels" and campaign.vehicle.half_length_plus_half_width_m is None
+    return campaign if unknown else on_one_axle(campaign)
+
+
 def rolled_m(campaign: Campaign, side: str, counts: FloatArray | None = None) -> FloatArray:
     """Return what a wheel of nominal radius rolls in `counts`, by default in each run."""
     counts = campaign.runs.number(f"counts_{side}") if counts is None else counts
@@ -83,16 +90,23 @@ def turned_rad(campaign: Campaign, left: FloatArray | None = None, right: FloatA
 _NEAR_TURN_RAD: Final = 1.0
 
 
-def end_headings(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
+def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     """Return how far the reference turned in each run, and the turns it is off the wheels, infinite where not whole.
 
-    Headings all within half a turn were wrapped by their instrument, which is undone; those in a map are no turns: NaN.
+    Headings all within half a turn were wrapped by their instrument, which is undone. On a map, with absolute headings,
+    runs turned as their logs say, and are not off.
     """
-    measured = campaign.runs.number("ref_theta_rad") * (math.nan if campaign.reference.frame == "map" else 1.0)
-    turned = turned_rad(campaign)
-    apart = turned - measured
-    turns = np.round(apart / (2 * np.pi))
-    near = np.abs(apart - 2 * np.pi * turns) < _NEAR_TURN_RAD
+    measured, turned = campaign.runs.number("ref_theta_rad"), turned_rad(campaign)
+    if campaign.reference.frame == "map":
+        measured = np.full(len(turned), np.nan)
+        for run, log in campaign.logs.each():
+            if len(heading := log.get("ref_theta_rad", turned[:0])):
+                steps = np.diff(np.unwrap(heading[np.isfinite(heading)]))
+                # between poses further apart it may have turned round any number of times
+                measured[run] = steps.sum() if np.abs(steps).max(initial=0.0) < 1.0 else np.nan
+        return measured, np.full(len(turned), np.nan)
+    turns = np.round((turned - measured) / (2 * np.pi))
+    near = np.abs(turned - measured - 2 * np.pi * turns) < _NEAR_TURN_RAD
     if (np.abs(measured[near]) <= np.pi + 0.05).all():
         # less than half a turn, by wheels a few percent off, is never wrapped
         measured = measured + 2 * np.pi * np.where(near & (np.abs(turned) > 3.0), turns, 0.0)
@@ -214,7 +228,7 @@ def sessions_of_loads(campaign: Campaign) -> list[str]:
 
 
 def load_and_session(campaign: Campaign) -> Iterator[Note]:
-    """Say where every session has one load, where there is one, or loads were driven in a rising or falling order."""
+    """Say where loads change with the session, or in a rising or falling order."""
     label, sessions = load_label(campaign), np.unique(campaign.runs.label("session"))
     n_loads = len(np.unique(label))
     if n_loads < 2:
@@ -252,10 +266,7 @@ _CHANGED: Final = {"load": 20.0, "speed": 0.02, "temperature": 2.0, "order of th
 
 
 def columns_as_one(campaign: Campaign) -> Iterator[Note]:
-    """Say where two of load, speed, temperature, order of the sessions and direction change together.
-
-    Directions are compared in runs of one kind. Load and session have their own check.
-    """
+    """Say where two of load, speed, temperature, order of the sessions and direction change together."""
     runs, way = campaign.runs, np.char.lower(campaign.runs.label("direction"))
     _, first, session = np.unique(runs.label("session"), return_index=True, return_inverse=True)
     values = (
@@ -284,7 +295,7 @@ _FEW_LOADS: Final = {
 
 
 def few_loads(campaign: Campaign) -> Iterator[Note]:
-    """Say where runs are too few for a law, or loads for a slope or a look at its curvature."""
+    """Say where runs or loads are too few for a law."""
     distance = np.isfinite(campaign.runs.number("distance_m"))
     for side in SIDES:
         load = campaign.runs.number(f"load_{side}_N")
@@ -302,11 +313,7 @@ _OUTLIER_SPREADS: Final = 6.0
 
 
 def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose radius lies far from runs of the same kind, load and speed.
-
-    Against the group's median, by a spread pooled over all groups from the median absolute deviation, which the runs
-    sought do not widen.
-    """
+    """Find runs whose radius lies far from runs of the same kind, load and speed."""
     runs = campaign.runs
     alike = zip(runs.label("kind"), load_label(campaign), np.round(runs.number("speed_mps"), 3), strict=True)
     groups = [members for _, members in groups_of(np.asarray([f"{k}|{w}|{v:g}" for k, w, v in alike]))]
@@ -335,31 +342,25 @@ _SAME_VALUE: Final = 0.01
 
 
 def pasted_rows(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose counts and measured values all repeat an earlier run's: distance, or end pose and whole log.
+    """Find runs that repeat an earlier one: counts and distance, or counts over time and end pose.
 
-    Counts alone may repeat honestly, those of a stepping motor or of few counts a turn.
+    Totals alone, or counts over time, may repeat honestly, those of few counts a turn or of a stepping motor.
     """
-    runs, reference, seen = campaign.runs, campaign.reference, defaultdict[Any, list[tuple[int, Any]]](list)
+    reference, names, seen = campaign.reference, ("distance_m", *REFERENCE_POSE), defaultdict[Any, list[Any]](list)
     sigmas = campaign.rangefinder.sigma_m, reference.sigma_xy_m, reference.sigma_xy_m, reference.sigma_theta_rad
-    allowed = {name: _SAME_VALUE * sigma for name, sigma in zip(("distance_m", *REFERENCE_POSE), sigmas, strict=True)}
-    for run, counts in enumerate(both_sides(campaign, "counts_{}").T.tolist()):
-        log, row = campaign.logs.of(run), {name: runs.number(name)[run] for name in allowed}
-        counted = math.prod(counts)
-        measured = abs(counted * row["distance_m"]) > 0.0
+    table = np.stack([campaign.runs.number(name) for name in names], axis=1)
+    for run, counts in enumerate(both_sides(campaign, "counts_{}").T):
+        log, counted = campaign.logs.of(run), counts.prod()
+        measured = abs(counted * table[run, 0]) > 0.0
         # the end of a closed loop, 0, was not measured
-        if counted == 0.0 or not (measured or log or abs(counted * row["ref_x_m"]) > 0.0):
+        if counted == 0.0 or not (measured or log or abs(counted * table[run, 1]) > 0.0):
             continue
-        earlier = seen[str(counts), measured or len(log.get("t_s", ()))]
-        for first, of in earlier:
-            if _alike(row, of, allowed) and (measured or _alike(log, campaign.logs.of(first), allowed)):
-                text = f"""counts and all measured values are those of run {runs.run_id[first]}: one measurement, which
-                    counts twice; was it pasted, or recorded under two names? Exclude one of the two"""
-                yield cell_note(campaign, run, "counts_left, counts_right", text, "pasted_row")
-                break
-        earlier.append((run, row))
-
-
-def _alike(one: Mapping[str, Any], other: Mapping[str, Any], allowed: Mapping[str, float]) -> bool:
-    return one.keys() == other.keys() and all(
-        np.allclose(one[name], other[name], rtol=0.0, atol=allowed.get(name, 0.0), equal_nan=True) for name in one
-    )
+        wheels = [log[name] for name in log if name.startswith(("t_s", "counts_")) and not measured]
+        values = np.stack((table[run], [log.get(name, (np.nan,))[-1] for name in names])) / sigmas
+        earlier = seen[hash(b"".join(column.tobytes() for column in (counts, *wheels)))]
+        same = (first for first, of in earlier if np.allclose(values, of, rtol=0.0, atol=_SAME_VALUE, equal_nan=True))
+        for first in islice(same, 1):
+            text = f"""counts and measured values are those of run {campaign.runs.run_id[first]}: one measurement, which
+                counts twice; was it pasted, or recorded under two names? Exclude one of the two"""
+            yield cell_note(campaign, run, "counts_left, counts_right", text, "pasted_row")
+        earlier.append((run, values))

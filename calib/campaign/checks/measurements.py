@@ -80,9 +80,17 @@ def off(ratio: float) -> bool:
 
 
 def factor_reason(ratio: float) -> str:
-    """Return the unit or setting that a ratio of radius to nominal radius points to, else a general hint."""
+    """Return the unit or setting that a ratio of radii points to."""
     text = design.meaning(ratio)
     return f"{text}?" if text else "check counts_per_rev, wheel_radius_m and the unit of the distance"
+
+
+def odd_sessions(campaign: Campaign, ratio: FloatArray) -> Iterator[tuple[str, float]]:
+    """Yield sessions whose ratios are off those of all runs, shape (n_runs,), and by what factor."""
+    for name, runs in design.groups_of(campaign.runs.label("session")):
+        there = ratio[runs][ratio[runs] > 0.0]
+        if len(there) >= LEAST_RUNS and off(factor := float(np.median(there) / np.median(ratio[ratio > 0.0]))):
+            yield name, factor
 
 
 def implausible_distances(campaign: Campaign) -> Iterator[Note]:
@@ -98,14 +106,10 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
             if off(usual) and design.stated(campaign, "vehicle.wheel_radius_m"):
                 text = f"the {side} wheel's radius comes out {usual:.2f} times nominal: {factor_reason(usual)}"
                 yield implausible_column(f"counts_{side}", text)
-            session = campaign.runs.label("session")
-            for name in np.unique(session):
-                there = good & (session == name)
-                factor = float(np.median(ratio[there])) / usual if there.sum() >= LEAST_RUNS else 1.0
-                if off(factor):
-                    text = f"""in session {name} the {side} wheel's radius comes out {factor:.3g} times that of most
-                        runs: {factor_reason(factor)}"""
-                    yield implausible_column(f"counts_{side}", text)
+            for name, factor in odd_sessions(campaign, np.where(good, ratio, np.nan)):
+                text = f"""in session {name} the {side} wheel's radius comes out {factor:.3g} times that of most runs:
+                    {factor_reason(factor)}"""
+                yield implausible_column(f"counts_{side}", text)
             far = np.log(np.abs(distance), where=good, out=distance * np.nan)
             load = campaign.runs.number(f"load_{side}_N")[good]
             yield from _scatter(np.log(ratio[good]), far, good, side, load)
@@ -254,7 +258,7 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
 
 
 def reference_load(campaign: Campaign) -> Iterator[Note]:
-    """Find a reference load that is neither the empty vehicle's, nor driven, nor the mean of those driven."""
+    """Find a reference load that is none of those driven or usual."""
     loads, found = both_sides(campaign, "load_{}_N"), campaign.model.reference_load_N
     loads = loads[np.isfinite(loads)]
     if not design.stated(campaign, "model.reference_load_N") or not len(loads):

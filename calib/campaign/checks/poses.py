@@ -10,6 +10,7 @@ from calib.campaign.checks import design
 from calib.campaign.checks.design import LEAST_RUNS, column_note, implausible_column, robust_spread, rolled_m
 from calib.campaign.checks.measurements import off
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
+from calib.campaign.wheels import ASIDE
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 
 #: runs that must agree, and standard errors beyond which they do
@@ -54,7 +55,7 @@ _OPPOSED_SIGMAS, _OPPOSED_RATIO = 6.0, -0.3
 
 
 def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
-    """Compare the distance of nearly straight runs with where the reference saw them end, by session too."""
+    """Compare the distance of nearly straight runs with their end pose."""
     uncertainty = math.hypot(campaign.rangefinder.sigma_m, campaign.reference.sigma_xy_m)
     allowed = max(_LEAST_DIFFERENCE_M, _UNCERTAINTIES * uncertainty)
     # more is another unit or row, which other checks report
@@ -134,7 +135,7 @@ def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
 
 
 def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
-    """Find a y of the other sign: ends that neither headings nor counts explain but with the sign changed."""
+    """Find a y of the other sign."""
     runs, offset, turned, counted = _bows(campaign)
     if not len(runs):
         return
@@ -160,7 +161,7 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
 
 
 def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
-    """Compare the scatter of straight runs with the uncertainties stated: a diagnosis weighs everything by these."""
+    """Compare the scatter of straight runs with the uncertainties stated."""
     longer, reference = _longer(campaign, 0.05), campaign.reference
     sigma_m = math.hypot(campaign.rangefinder.sigma_m, reference.sigma_xy_m)
     for names, values, sigma, unit in (
@@ -187,7 +188,7 @@ def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
 
 
 def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
-    """Find straight runs that end aside of their start heading: a frame turned far, or x and y exchanged."""
+    """Find straight runs that end aside of their start heading."""
     runs, turned = campaign.runs, design.turned_rad(campaign)
     x, y, distance = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "distance_m"))
     away = np.hypot(x, y)
@@ -204,7 +205,7 @@ def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
 
 
 def turned_frame(campaign: Campaign) -> Iterator[Note]:
-    """Compare headings with where straight runs end: in a frame not turned both agree, however unequal the wheels."""
+    """Compare headings with where straight runs end."""
     runs, angle = _aside_rad(campaign)
     for where, n_runs, median, error in _offsets(angle, campaign.runs.label("session")[runs], _LEAST_ANGLE_RAD):
         text = f"""the ends of {n_runs} straight runs {where} lie {abs(median):.3g} rad further to the
@@ -238,7 +239,7 @@ def _slope(counted: FloatArray, measured: FloatArray) -> tuple[float, float]:
 
 
 def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
-    """Compare the turns by gyro and by reference: the diagnosis uses the latter where both exist."""
+    """Compare the turns by gyro and by reference."""
     runs = campaign.runs
     turn, heading = runs.number("gyro_theta_rad"), runs.number("ref_theta_rad")
     both = ~runs.excluded & np.isfinite(heading) & (np.abs(turn) > _LEAST_GYRO_TURN_RAD)
@@ -252,6 +253,43 @@ def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
             than by the reference (standard error {100 * error:.1g} %); expected the same; correct the gyro's scale
             where the vehicle navigates by it"""
         yield column_note("gyro_theta_rad", text, "gyro_against_reference")
+
+
+#: a way beyond what wheels roll, with slip, so many uncertainties, and times what a slow or noisy reference usually has
+_LOST_M, _SLIP, _LOST_SIGMAS, _UNUSUAL = 0.05, 1.5, 15.0, 4.0
+
+
+def lost_reference(campaign: Campaign) -> Iterator[Note]:
+    """Find positions along the path that stand still while the wheels roll, or leap further than these carry them."""
+    campaign = design.on_axle(campaign)
+    vehicle, sensor = campaign.vehicle, campaign.reference
+    least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
+    # from the axle's middle to the sensor, wherever on the vehicle, in tracks
+    arm = 1.0 + (vehicle.wheelbase_m + math.hypot(sensor.sensor_x_m, sensor.sensor_y_m)) / vehicle.track_m
+    for run, log in campaign.logs.each(20):
+        if not log.keys() >= {"ref_x_m", "ref_y_m", "counts_left", "counts_right"}:
+            continue
+        position = log["ref_x_m"] + 1j * log["ref_y_m"]
+        known = np.flatnonzero(np.isfinite(position))
+        left, right = (rolled_m(campaign, side, log[f"counts_{side}"][known]) for side in design.SIDES)
+        way = (left + right) / 2 + 1j * log.get(ASIDE, 0.0 * log["t_s"])[known]
+        # each value of the reference, from its first sample to that after its last
+        first = np.append(0, np.flatnonzero(np.diff(position[known])) + 1)
+        last = np.append(first[1:], len(known)) - 1
+        after = np.minimum(last + 1, len(known) - 1)
+        if len(known) < LEAST_RUNS:
+            continue
+        moved, rolled, apart = (np.abs(of[after] - of[first]) for of in (position[known], way, right - left))
+        stand, leap = np.abs(way[last] - way[first]), moved - _SLIP * rolled - arm * apart
+        off_m = np.maximum(stand, leap)
+        far = off_m > least + _UNUSUAL * np.quantile(np.append(off_m, 0.0), 0.9, method="lower")
+        if far.any():
+            at = int(np.argmax(off_m))
+            begin, end = log["t_s"][known[[first[at], after[at]]]]
+            what = "stands still" if stand[at] > leap[at] else "leaps"
+            text = f"""the position {what} as the wheels do not {far.sum()} time(s), most by {off_m[at]:.2g} m from
+                {begin:.4g} to {end:.4g} s; was it lost or hidden? Empty these cells, or exclude the run"""
+            yield design.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
 
 
 def implausible_poses(campaign: Campaign) -> Iterator[Note]:

@@ -113,7 +113,7 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
 
 def heading_turns(campaign: Campaign) -> Iterator[Note]:
     """Find end headings of a few runs a whole turn off the wheels'."""
-    turns = design.end_headings(campaign)[1]
+    turns = design.reference_turns(campaign)[1]
     odd = np.isfinite(turns) & (turns != 0.0)
     few = odd.sum() <= MOST_ODD * np.isfinite(turns).sum()
     for _, runs in design.groups_of(campaign.runs.label("session")) if few else ():
@@ -121,6 +121,37 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
         for run in runs[odd[runs]] if np.isinf(turns[runs]).mean() <= MOST_ODD else ():
             text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell"
             yield design.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
+
+
+#: factors of turns by left wheel, right wheel and reference -> what they make good
+_SENSES: Final = (
+    (1.0, 1.0, 1.0, ""),
+    (-1.0, 1.0, 1.0, "the left wheel counts backwards; negate counts_left"),
+    (1.0, -1.0, 1.0, "the right wheel counts backwards; negate counts_right"),
+    (1.0, 1.0, np.pi / 180.0, "the headings are in degrees; name the column ref_theta_deg"),
+)
+#: headings and counts are this far apart, and this share of it where it is made good
+_APART_RAD, _MADE_GOOD = 1.0, 0.1
+
+
+def implausible_senses(campaign: Campaign) -> Iterator[Note]:
+    """Yield wheels that count backwards and headings in degrees, of all runs or a session, by how far these turn."""
+    turned = design.reference_turns(campaign)[0]
+    left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
+    known = np.isfinite(turned + left + right)
+    apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in _SENSES]
+    for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
+        if len(of := runs[known[runs]]) < LEAST_RUNS:
+            continue
+        found = [float(np.median(one[of])) for one in apart]
+        if found[0] > _APART_RAD and min(found) < _MADE_GOOD * found[0]:
+            words = _SENSES[int(np.argmin(found))][-1]
+            text = (
+                f"in {where} counts and headings are {found[0]:.3g} rad apart (median), or {min(found):.2g} if {words}"
+            )
+            yield column_note("counts_left, counts_right, ref_theta_rad", text, "implausible", "wrong")
+            if where == "all runs":
+                return
 
 
 def unused_slopes(campaign: Campaign) -> Iterator[Note]:
@@ -134,7 +165,7 @@ def unused_slopes(campaign: Campaign) -> Iterator[Note]:
 
 
 def pose_resolution(campaign: Campaign) -> Iterator[Note]:
-    """Find positions in steps coarser than the reference: single precision far from the origin."""
+    """Find positions in steps coarser than the reference."""
     for where, columns in (("runs", campaign.runs.numbers), ("logs", campaign.logs.columns)):
         for name in ("ref_x_m", "ref_y_m"):
             if step_m := _coarse_step(columns.get(name, np.zeros(0)), campaign.reference.sigma_xy_m):
@@ -144,7 +175,7 @@ def pose_resolution(campaign: Campaign) -> Iterator[Note]:
 
 
 def rounded_values(campaign: Campaign) -> Iterator[Note]:
-    """Find distances, headings and counts in steps far above the uncertainty of distance or heading."""
+    """Find distances, headings and counts in steps far above their uncertainty."""
     sigma_m = campaign.rangefinder.sigma_m
     resolutions = {"distance_m": sigma_m, "ref_theta_rad": campaign.reference.sigma_theta_rad}
     resolutions |= {f"counts_{side}": sigma_m / float(design.rolled_m(campaign, side, np.ones(1))[0]) for side in SIDES}
@@ -157,7 +188,7 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
 
 
 def _coarse_step(values: FloatArray, resolution: float) -> float | None:
-    """Return the step that all values are multiples of apart, where far above a resolution; else None."""
+    """Return the step that all values are multiples of apart, where far above a resolution."""
     found, times = np.unique(values[np.isfinite(values)][:MOST_POSES], return_counts=True)
     steps = np.diff(found)
     repeated = len(steps) > 0 and int(times[times > 1].sum()) >= max(REPEATED_VALUES, MOST_REPEATED * times.sum())
@@ -168,7 +199,7 @@ def _coarse_step(values: FloatArray, resolution: float) -> float | None:
 
 
 def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
-    """Find session labels that are a row off: moved, each session has one load or temperature, and now it has not."""
+    """Find session labels that are a row off."""
     session = np.unique(campaign.runs.label("session"), return_inverse=True)[1]
     asked = {"load": design.load_label(campaign), "temperature_C": campaign.runs.number("temperature_C")}
     for name, values in asked.items():
@@ -191,7 +222,7 @@ def _constant_within(session: IntArray, group: IntArray) -> bool:
 
 
 def late_logs(campaign: Campaign) -> Iterator[Note]:
-    """Find logs that begin after the vehicle moved: every table total has a constant few counts more."""
+    """Find logs that begin after the vehicle moved."""
     for side in SIDES:
         difference = campaign.runs.number(f"counts_{side}") - log_totals(campaign.logs, f"counts_{side}")
         known = difference[np.isfinite(difference)]

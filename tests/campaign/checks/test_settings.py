@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from calib.campaign.check import check_campaign
 from calib.campaign.checks.counts import turn_direction
-from calib.campaign.checks.settings import heading_turns
+from calib.campaign.checks.settings import heading_turns, implausible_senses
 from calib.campaign.model import Campaign
 from tests.campaign.making import with_numbers
 from tests.kinematics.campaigns import Truth, campaign, square
@@ -64,3 +66,34 @@ def test_a_session_of_another_unit_or_sign_is_no_wrong_cell() -> None:
         {"counts_left": left * (1 - 2 * day)},
     ):
         assert list(heading_turns(with_numbers(made, **spoilt))) == []
+
+
+@pytest.mark.parametrize("session", ["all runs", "day3"])
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda left, right, heading: (-left, right, heading), "negate counts_left"),
+        (lambda left, right, heading: (left, -right, heading), "negate counts_right"),
+        (lambda left, right, heading: (left, right, np.degrees(heading)), "name the column ref_theta_deg"),
+    ],
+)
+def test_a_sense_or_unit_is_named_for_all_runs_or_a_session(
+    session: str, change: Callable[..., tuple[np.ndarray, ...]], words: str
+) -> None:
+    made, names = _driven(), ("counts_left", "counts_right", "ref_theta_rad")
+    spoilt = np.isin(SESSIONS, [session]) | (session == "all runs")
+    columns = [made.runs.number(name) for name in names]
+    numbers = {
+        name: np.where(spoilt, new, old) for name, old, new in zip(names, columns, change(*columns), strict=True)
+    }
+    (found,) = implausible_senses(with_numbers(made, **numbers))
+    assert found.level == "wrong"
+    assert f"in {session} " in found.text
+    assert found.text.endswith(words)
+
+
+def test_senses_that_agree_are_left_alone() -> None:
+    """Headings wrapped or not, wheels of unequal radii and a wrong track."""
+    made = _driven()
+    assert list(implausible_senses(made)) == []
+    assert list(implausible_senses(with_numbers(made, ref_theta_rad=_wrapped(made.runs.number("ref_theta_rad"))))) == []
