@@ -38,9 +38,9 @@ LATE_START_S: Final = 1.0
 def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list[LogFile]":
     """Return the logs that there are, in the order of the runs.
 
-    `folder`: the campaign's; `runs`: names the logs, else they are ``logs/<run_id>.csv`` or of another format; `shown`:
-    the run table's name in messages; `border`: takes what is missing or named twice as faults. Raises BadFileError
-    where a path leads out of the folder, or, for a border that is not lenient, at the first fault.
+    `runs`: names the logs, else they are ``logs/<run_id>.csv`` or of another format; `shown`: the run table's name in
+    messages; `border`: takes what is missing or named twice as faults. Raises BadFileError where a path leads out of
+    the folder, or, for a border that is not lenient, at the first fault.
     """
     plain, suffixes = _plain_logs(folder), READERS if (folder / "logs").exists() else ()
     files: list[LogFile] = []
@@ -96,9 +96,8 @@ LogFile = tuple[int, str, Path, str]
 def read_log(path: Path, shown: str, border: Border, raw: RawTable | None = None) -> dict[str, FloatArray]:
     """Read one log: columns of `LOG_COLUMNS` in SI units, times from the run's start, shape (n_samples,) each.
 
-    `path`: of any format that a reader knows; `shown`: its name in messages; `border`: takes notes; `raw`: the columns
-    that `in_log` picks, where they were read already. Raises BadFileError where a required column is missing or holds a
-    gap, or a cell is no number.
+    `shown`: its name in messages; `raw`: the columns that `in_log` picks, where they were read already. Raises
+    BadFileError where a required column is missing or holds a gap, or a cell is no number.
     """
     raw = read_table(path, shown, in_log) if raw is None else raw
     border.notes.extend(raw.notes)
@@ -196,8 +195,7 @@ def log_column(name: str) -> Recognised:
 def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntArray) -> None:
     """Refuse a log without time, wheels or rows, or with gaps in them.
 
-    `columns` (shape (n_samples,)); `line` (shape (n_samples,)): line of each sample in the file. Raises BadFileError:
-    names the column that is missing, or the row of the empty cell.
+    `line` (shape (n_samples,)): of each sample in the file. Raises BadFileError, which names column or row.
     """
     wheels = max(WHEEL_SETS, key=lambda names: sum(name in columns for name in names) / len(names))
     for name in ("t_s", *wheels):
@@ -220,8 +218,7 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray |
     All counts lie in one span of the counter, and each jump, undone, is a step like the others, as a reset is not. A
     step over a gap in time may hold the counts of as many usual steps.
 
-    `counts`, `time_s` (shape (n_samples,)): logs end to end, and their times where known; `offsets` (shape (n_runs +
-    1,)): where each log begins. 13, 16 or 32, or None where nothing overflows.
+    13, 16 or 32, or None where nothing overflows; for shapes see `unwrap`.
     """
     if not len(counts) or np.isnan(counts).all():
         return None
@@ -246,9 +243,8 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray |
 def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray, IntArray]:
     """Undo overflows: every step is the shortest around the counter.
 
-    `counts` (shape (n_samples,)): logs end to end; `offsets` (shape (n_runs + 1,)): where each log begins; `bits`:
-    width of the counter. Returns `counts` (shape (n_samples,)): each log from its own first value; `wraps` (shape
-    (n_runs,)): overflows undone in each log.
+    `counts` (shape (n_samples,)): logs end to end; `offsets` (shape (n_runs + 1,)): where each log begins. Returns
+    `counts`, each log from its own first value, and the overflows undone in each log.
     """
     full = 2.0**bits
     step = _steps(counts, offsets)
@@ -263,8 +259,7 @@ def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray
 def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: FloatArray) -> FloatArray:
     """Return how many full counters to add to `total` to meet `expected`; 0 where none fits.
 
-    `total`, `expected`, `tolerance` (shape (n_runs,)): counts found and expected, and how far they may be apart;
-    `bits`: width of the counter. Shape (n_runs,): whole numbers.
+    Whole numbers, shape (n_runs,) as `total`, `expected`, and `tolerance`: how far these may be apart.
     """
     full = 2.0**bits
     turns = np.rint((expected - total) / full)

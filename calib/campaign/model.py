@@ -1,6 +1,6 @@
 """Campaign, run table and logs: the one contract that every later stage reads.
 
-Arrays over all runs, and all logs end to end, so that later stages work on whole campaigns at once.
+Arrays over all runs, and all logs end to end.
 """
 
 import os
@@ -294,27 +294,21 @@ class Campaign:
 
     Parameters
     ----------
-    root : Path or None
-        Its folder; None where it was made in memory.
-    name : str
-        Name of the campaign.
-    simulated : bool
+    root, name
+        Its folder, None where it was made in memory, and its name.
+    simulated
         True where a program made the data, which every report says.
-    vehicle, encoder, model, rangefinder, reference
+    vehicle, encoder, model, rangefinder, reference, odometry
         Sections of ``campaign.toml``.
-    runs : RunTable
-        The run table.
-    logs : Logs
-        Logs of the same runs in the same order.
-    notes : tuple of Note
+    runs, logs
+        The run table, and logs of the same runs in the same order.
+    notes
         What was recognised and converted on the API.
-    hashes : mapping of str to str
+    hashes
         SHA-256 of every file read, by path in the folder.
-    extra : mapping
+    extra
         Sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one).
-    odometry : Odometry
-        What the vehicle's own odometry runs on.
-    assumed : tuple of str
+    assumed
         Keys of ``campaign.toml`` that a program filled in (``rangefinder.sigma_m``).
     """
 

@@ -1,7 +1,6 @@
 """Read a campaign folder: settings, run table, logs, and what follows from them; a file becomes a campaign on the way.
 
-What follows: counts and distances of the logs, loads of the payload, and references without motion capture: turns by a
-gyro, its bias from standstills, and closed loops.
+What follows: counts and distances of the logs, loads of the payload, turns by a gyro, and closed loops.
 """
 
 import tempfile
@@ -316,9 +315,9 @@ def read_or_ingest(
 ) -> Campaign:
     """Read a campaign folder, or make a campaign of a recording or table as `ingest` would, and read that.
 
-    `path`: a campaign folder; or a file, or a rosbag2 folder; `mapping`: of a file; a campaign folder takes none;
-    `lenient`: as for `read_campaign`. ``root`` is None where it was made on the way. Raises BadInputError where a
-    campaign folder is given with a mapping, or the file cannot be used.
+    `path`: a campaign folder; or a file, or a rosbag2 folder; `lenient`: as for `read_campaign`. ``root`` is None where
+    it was made on the way. Raises BadInputError where a campaign folder is given with a mapping, or the file cannot be
+    used.
     """
     is_campaign = path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None)
     if is_campaign and mapping is not None:

@@ -1,7 +1,6 @@
 """Which wheels drive a vehicle's odometry, and the two wheels on one axle that they amount to.
 
-All that integrates two wheels on one axle (diagnosis, replay, the runtime's check) reads a vehicle whose odometry runs
-on its front wheel alone, its drive shaft and steering, or four mecanum wheels, through `on_one_axle`.
+All that integrates two wheels on one axle (diagnosis, replay, the runtime's check) reads others through `on_one_axle`.
 """
 
 from collections.abc import Mapping
@@ -79,13 +78,11 @@ def _lacks_rear(campaign: Campaign) -> bool:
 def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campaign:
     """Return the campaign with the counts that two wheels on one axle would have had.
 
-    Without rear wheels the way of front wheel or shaft with the steering angle, or the turns of four wheels, move the
-    axle's middle, written as counts of two wheels of the model's radii and track; what mecanum wheels roll to the side
-    is the column `ASIDE`.
+    Without rear wheels the other wheels move the axle's middle, written as counts of two wheels of the model's radii
+    and track; what mecanum wheels roll to the side is the column `ASIDE`.
 
-    `model`: what the simulator believes; the campaign's own by default. Its `front` or `mecanum` part, where it has
-    one, takes the place of the vehicle's nominal lengths. Raises BadInputError where a mecanum vehicle does not say its
-    l + w.
+    `model`: the campaign's own by default; its `front` or `mecanum` part takes the place of the vehicle's nominal
+    lengths. Raises BadInputError where a mecanum vehicle does not say its l + w.
     """
     if not without_rear_wheels(campaign):
         return campaign
@@ -169,8 +166,7 @@ def mecanum_model(campaign: Campaign) -> MecanumModel:
 def front_motion(front: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return what the axle's middle moves ahead (m) and turns (rad) in each step of the front wheel (Eqs 12 to 14).
 
-    `front`: radius, wheelbase, zero and scale of the steering angle; `rolled_rad` (shape (n,)): angle that the wheel
-    rolled since the sample before; `steer_rad` (shape (n,)): steering angle at the samples, as the sensor says it.
+    `rolled_rad` (shape (n,)): since the sample before; `steer_rad` (shape (n,)): at the samples, as the sensor says it.
     """
     angle = front.scale * steer_rad + front.zero_rad
     before = np.concatenate((angle[:1], angle[:-1]))
@@ -208,9 +204,7 @@ def shaft_motion(model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArra
 
     The axle's middle goes what the rear wheels roll, at the curvature tan(angle) / wheelbase, less by the model's slip.
 
-    `model`: radius of the rear wheels, wheelbase, zero and scale of the steering angle, slip; `rolled_rad` (shape
-    (n,)): angle that the rear wheels rolled since the sample before; `steer_rad`, `t_s` (shape (n,)): steering angle
-    and time at the samples.
+    `rolled_rad` (shape (n,)): since the sample before; `steer_rad`, `t_s` (shape (n,)): at the samples.
     """
     tangent = np.tan(model.scale * steer_rad + model.zero_rad)
     before = np.concatenate((tangent[:1], tangent[:-1]))
@@ -232,8 +226,7 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
     the speeds v -+ omega track / 2 of its wheels. Between samples a speed changes linearly (trapezoids). Counts that
     were logged are kept.
 
-    `encoder` says the counts per revolution of the result, `vehicle` the nominal radius and track by which the vehicle
-    computed its speeds; `border` takes what was done.
+    `vehicle`: by whose nominal radius and track it computed its speeds; `border` takes what was done.
     """
     columns = dict(logs.columns)
     for name, speed_mps in _wheel_speeds(columns, vehicle):
@@ -279,8 +272,8 @@ MIN_GUIDED_RUNS: Final = 5
 def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray, posed: BoolArray) -> BoolArray:
     """Return which observations were guided along a line, by what was measured alone, shape (n_obs,) as all.
 
-    `distance_m`: of the line, NaN where not measured; `path_m`, `apart_m`: what the wheels rolled, and the right one
-    beyond the left; `posed`: with a measured end pose or heading.
+    `distance_m`: NaN where not measured; `path_m`, `apart_m`: what the wheels rolled, and the right one beyond the
+    left; `posed`: with a measured end pose or heading.
     """
     way = np.abs(path_m)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -296,8 +289,6 @@ def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[flo
     """Return whether wheels rolled so alike, run by run, that the vehicle kept them alike itself.
 
     Led along a line, the wheels part by their radii. Where counting is coarser than that, runs are taken as guided.
-
-    `apart_m`, `way_m` (n_obs,): what the right wheel rolled beyond the left, and the way; `count_m`: of one count.
     """
     if len(apart_m) < MIN_GUIDED_RUNS:
         return False

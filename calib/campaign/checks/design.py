@@ -93,8 +93,7 @@ _NEAR_TURN_RAD: Final = 1.0
 def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     """Return how far the reference turned in each run, and the turns it is off the wheels, infinite where not whole.
 
-    Headings all within half a turn were wrapped by their instrument, which is undone. On a map, with absolute headings,
-    runs turned as their logs say, and are not off.
+    Headings all within half a turn were wrapped, which is undone; on a map runs turned as their logs say.
     """
     measured, turned = campaign.runs.number("ref_theta_rad"), turned_rad(campaign)
     if campaign.reference.frame == "map":
@@ -104,12 +103,12 @@ def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
                 steps = np.diff(np.unwrap(heading[np.isfinite(heading)]))
                 # between poses further apart it may have turned round any number of times
                 measured[run] = steps.sum() if np.abs(steps).max(initial=0.0) < 1.0 else np.nan
-        return measured, np.full(len(turned), np.nan)
+        return measured, np.nan * turned
     turns = np.round((turned - measured) / (2 * np.pi))
     near = np.abs(turned - measured - 2 * np.pi * turns) < _NEAR_TURN_RAD
     if (np.abs(measured[near]) <= np.pi + 0.05).all():
-        # less than half a turn, by wheels a few percent off, is never wrapped
-        measured = measured + 2 * np.pi * np.where(near & (np.abs(turned) > 3.0), turns, 0.0)
+        # what wheels a fifth off take for less than half a turn was not wrapped
+        measured = measured + 2 * np.pi * np.where(near & (np.abs(turned) > 2.5), turns, 0.0)
         turns = 0.0 * turns
     return measured, np.where(near, turns, turns + math.inf)
 
@@ -344,7 +343,7 @@ _SAME_VALUE: Final = 0.01
 def pasted_rows(campaign: Campaign) -> Iterator[Note]:
     """Find runs that repeat an earlier one: counts and distance, or counts over time and end pose.
 
-    Totals alone, or counts over time, may repeat honestly, those of few counts a turn or of a stepping motor.
+    Counts alone repeat honestly where they are few, or a stepping motor's.
     """
     reference, names, seen = campaign.reference, ("distance_m", *REFERENCE_POSE), defaultdict[Any, list[Any]](list)
     sigmas = campaign.rangefinder.sigma_m, reference.sigma_xy_m, reference.sigma_xy_m, reference.sigma_theta_rad

@@ -1,7 +1,4 @@
-"""What columns may mean, by names in five languages and by their numbers; how far streams lag.
-
-English, German, French, Italian, Spanish; a lag shows in how the speeds correlate.
-"""
+"""What columns may mean, by names in five languages and by their numbers; how far streams lag."""
 
 import re
 import tomllib

@@ -1,7 +1,4 @@
-"""Tables as laboratories keep them: several header rows, a row of units, remarks, means and sums among the rows.
-
-Nothing is dropped in silence: what is no row of the table is noted by its place.
-"""
+"""Tables as laboratories keep them: several header rows, a row of units, remarks, means and sums among the rows."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence

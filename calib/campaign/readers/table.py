@@ -204,13 +204,13 @@ def numbers(
 
     Parameters
     ----------
-    cells, line : array, shape (n_rows,)
+    cells, line : shape (n_rows,)
         Text, numbers or None, and their lines.
     shown, column
         File and column, for messages.
     decimal_comma
         What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
-    notes : list of Note
+    notes
         Added to.
     """
     if cells.dtype != object:

@@ -42,7 +42,7 @@ def test_headings_that_their_instrument_wraps_are_no_fault() -> None:
 
 def test_swapped_wheels_are_named_beside_wrapped_headings() -> None:
     """Turns of less than half a turn are not wrapped, and tell it."""
-    routes = [("arc", [(3.0, sense * turn)]) for sense in (1, -1) for turn in (2.0, 2.8)]
+    routes = [("arc", [(3.0, sense * turn)]) for sense in (1, -1) for turn in (1.5, 2.3)]
     made = campaign(routes * 3, Truth(), np.random.default_rng(1), walk=1e-3)
     swapped = {"counts_left": made.runs.number("counts_right"), "counts_right": made.runs.number("counts_left")}
     (found,) = turn_direction(with_numbers(made, **swapped))
@@ -97,3 +97,13 @@ def test_senses_that_agree_are_left_alone() -> None:
     made = _driven()
     assert list(implausible_senses(made)) == []
     assert list(implausible_senses(with_numbers(made, ref_theta_rad=_wrapped(made.runs.number("ref_theta_rad"))))) == []
+
+
+def test_half_turns_that_their_instrument_wraps_are_left_alone() -> None:
+    """A track 10 % too wide makes 2.8 rad of half a turn, and noise leaves either sign to the heading."""
+    routes = [("u-turn", [(3.0, sense * math.pi)]) for sense in (1, -1)]
+    made = campaign(routes * 6, Truth(track_m=0.4), np.random.default_rng(1), nominal=(0.05, 0.05, 0.445))
+    made = with_numbers(made, ref_theta_rad=_wrapped(made.runs.number("ref_theta_rad")))
+    assert (np.sign(made.runs.number("ref_theta_rad")) != np.tile([1, -1], 6)).any()
+    assert list(turn_direction(made)) == []
+    assert list(heading_turns(made)) == []
