@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.check import implausible, notes_for_results
-from calib.campaign.checks.design import listed
+from calib.campaign.checks.design import listed, pasted_rows
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.coefficients.sections import EffectSection
@@ -22,15 +22,7 @@ from calib.gap.decision.held_out import HeldOut, measure_closure
 from calib.gap.decision.kind import NOTHING_NAMED, fails, open_questions, tells_more, with_left
 from calib.gap.decision.trials import most_square, trials
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.encoder import (
-    BLUNDER_MISFIT,
-    EncoderBlunder,
-    bad_runs,
-    copied_runs,
-    corrected,
-    find_blunder,
-    misfit,
-)
+from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
 from calib.gap.effects.library import ELSEWHERE, beyond_law, library, model_of, with_effects, with_sensor_of
 from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
 from calib.gap.effects.simulator import as_simulated
@@ -86,10 +78,9 @@ def diagnose_in_full(
     """
     sought, planted = _Sought(model, applied, exclude), observations
     campaign, unloaded = (campaign, "") if planted is not None else with_known_loads(campaign)
+    copied = [note.run_id for note in pasted_rows(campaign.included())] if planted is None else []
+    campaign = _without(campaign, copied)
     situation = sought.situation(campaign) if planted is None else sought.counted(campaign, planted, ())
-    if copied := copied_runs(situation.observations) if planted is None else []:
-        campaign = _without(campaign, copied)
-        situation = sought.situation(campaign)
     if planted is None and (lone := _lone_run(situation)):
         situation = replace(sought.situation(_without(campaign, lone)), omitted=lone)
     given, found = _without(campaign, situation.omitted), situation.observations

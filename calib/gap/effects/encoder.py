@@ -159,8 +159,6 @@ BLUNDER_RESIDUAL_SHARE: Final = 0.2
 BAD_RUN_MISFIT: Final = 0.2
 BAD_RUN_RATIO: Final = 3.0
 MOST_BAD_RUNS: Final = 0.25
-#: standard uncertainties by which readings of one run differ, as a last digit does: no instrument meets itself so
-COPIED_SD: Final = 0.05
 #: rise over run, and radians, within which a run is straight: no route turns by so little
 _STRAIGHT_ANGLE_RAD: Final = 0.2
 
@@ -265,18 +263,6 @@ def bad_runs(nominal: Path) -> dict[str, float]:
     if not np.isin(kind[bad], kind[others]).all():
         return {}
     return dict(zip(nominal.s.labels["run_id"][bad].tolist(), off[bad].tolist(), strict=True))
-
-
-def copied_runs(s: Observations) -> list[str]:
-    """Return the runs, by id, of the counts, loads and readings of one before: one measurement, recorded twice."""
-    rolled = np.stack([s.total(s.roll_left_rad**2), s.total(s.roll_right_rad**2)])
-    driven = np.concatenate([rolled, np.nan_to_num(s.wheel_loads_N)])
-    _, first, same = np.unique(driven, axis=1, return_index=True, return_inverse=True)
-    before, read, runs = first[same.ravel()], np.where(s.usable, s.measured, np.inf)[:, :4], s.labels["run_id"]
-    with np.errstate(invalid="ignore"):
-        apart = (np.abs(read - read[before]) > COPIED_SD * s.sigma).any(axis=1)
-    own = apart | (before == np.arange(len(s))) | ~rolled.any(axis=0)
-    return sorted({*runs.tolist()}.difference(runs[own].tolist()))
 
 
 def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by_extent: bool = False) -> FloatArray:
