@@ -146,7 +146,6 @@ def completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
 
 
 def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> FloatArray:
-    """Undo overflows of the table's totals: against the log, or the distance where the width is given."""
     runs, encoder = campaign.runs, campaign.encoder
     total, logged = runs.number(name), log_totals(campaign.logs, name)
     driven = runs.number("distance_m") / (2 * np.pi * campaign.vehicle.wheel_radius_m) * encoder.per_rev(name)

@@ -82,7 +82,6 @@ def _nearest_path(message: str, given: list[str]) -> str:
 
 
 def _machine_refused(error: Exception) -> str:
-    """Return what the machine or the size of a number refused; empty for anything else, which is a bug."""
     if isinstance(error, UnicodeEncodeError):
         lacking = f"found characters that the encoding {error.encoding} lacks"
         return f"output: {lacking}; expected UTF-8; set PYTHONUTF8=1"

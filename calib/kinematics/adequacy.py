@@ -235,7 +235,6 @@ def _harmed(
 
 
 def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
-    """Return the segments judged: all but few single bad runs, no replicates that are all outliers."""
     segments, recording = whole.segments, whole.recording
     bad: BoolArray = np.isin(recording.run_id, list(outliers))
     used: BoolArray = ~bad[segments.run]
@@ -276,7 +275,6 @@ def _scatter(after: FloatArray, group: IntArray, used: BoolArray) -> tuple[float
 
 
 def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
-    """Return residuals of held-out runs, or blocks of few runs, shape (n, 3); NaN where the others do not tell."""
     model, solution = fitted.model, fitted.solution
     runs = np.unique(model.segments.run)
     by_run = len(runs) >= min(ENOUGH_RUNS, FOLDS) or whole.segments.are_runs_of(whole.recording)

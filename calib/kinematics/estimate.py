@@ -317,7 +317,6 @@ def _with_own_delays(task: _Task, common: Fitted, losses: FloatArray) -> tuple[F
 
 
 def _with_own_zeros(task: _Task, fitted: Fitted) -> Fitted:
-    """Return the fit with a steering zero for each recording; of end poses, for each session where these differ."""
     model, free = fitted.model, fitted.parameters.free
     if task.way == "windows":
         return joint_fit.with_own_zeros(fitted)

@@ -220,8 +220,6 @@ def _wheel_units(per_rev: float, drive: Drive) -> Iterator[Reading]:
 
 
 def _geared(code: str, text: str, change: Callable[[OfArray], Change], scale: int) -> Iterator[Reading]:
-    """Yield readings of gears; `text` has a place for the ratio, `scale` says which factor of a fit tells its rest."""
-
     def reading(ratio: float) -> Reading:
         by_ratio = change(partial(np.multiply, 1.0 / ratio))
         return Reading(Fault(code, text.format(ratio)), by_ratio, refined=lambda scales: reading(ratio / scales[scale]))

@@ -119,10 +119,6 @@ class Recording:
         return replace(self, end_pose=end_pose), self.run_id[off & ~lost].tolist()
 
     def _turns_followed(self, turn_rad: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Return each run's turn by the reference where it was followed, else by the wheels, and whether it was lost.
-
-        Each shape (n_runs,).
-        """
         turned, lost = np.add.reduceat(turn_rad, self.offsets[:-1]), np.zeros(len(self), np.bool_)
         total = np.cumsum(turn_rad)
         for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
@@ -350,7 +346,6 @@ def _loads(campaign: Campaign, row: int, log: dict[str, FloatArray], keep: BoolA
 
 
 def _begins_away(campaign: Campaign) -> bool:
-    """Return whether some run begins away from the origin: by chance another of the same map begins near it."""
     logs = campaign.logs
     first = logs.offsets[:-1][np.diff(logs.offsets) > 0]
     return bool((np.hypot(*(logs.columns[name][first] for name in REFERENCE_POSE[:2])) > AT_START_M).any())

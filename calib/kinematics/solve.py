@@ -360,7 +360,6 @@ def _advance(
     whitener: FloatArray,
     nominal: Callable[[FloatArray], tuple[FloatArray, FloatArray, float]],
 ) -> tuple[FloatArray, Prediction] | None:
-    """Backtrack along `step`, to `least_part` of it, until the loss falls; return point and prediction, or None."""
     size = model.segments.seen.sum(axis=1)
 
     def loss(values: FloatArray, prediction: Prediction) -> float:

@@ -148,7 +148,6 @@ def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, Whee
 
 
 def _implausible(wheel: WheelFit, findings: list[str], nominal_m: float | None, runs: StrArray) -> tuple[Check, ...]:
-    """Return a failed check ``plausible`` for each finding; `nominal_m`: None where assumed; `runs`: their ids."""
     other = "right" if wheel.wheel == "left" else "left"
     own = [text for text in findings if f"the {other} wheel" not in text]
     radius_named = any(f"the {wheel.wheel} wheel's radius" in text for text in own)
@@ -190,7 +189,6 @@ def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatAr
 
 
 def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: FloatArray) -> Iterator[Check]:
-    """Look for a constant error of the distances; `reach` (n_runs,): by how much a metre moves a radius."""
     own, residual = (values - fitted @ (fitted.T @ values) for values in (reach, fit.residual_m))
     norm, dof, mean = float(own @ own), len(own) - fitted.shape[1] - 1, float(reach.mean())
     least = LENGTHS_APART * mean * float(np.sqrt(np.mean(std_m**2)) / fit.radius_m.mean())
@@ -316,7 +314,6 @@ def held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> lis
 
 
 def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
-    """Return what the law leaves of held-out runs, and what they differ by; within sessions, or all, the better."""
     pairs = []
     for means in (np.ones((len(radii), 1)), groups_of(radii.session).indicators):
         sizes = []

@@ -61,10 +61,6 @@ def to_pdf(report: Report, progress: Progress = silent) -> bytes:
 
 
 def _compile_with_fallback(folder: Path, report: Report) -> bytes:
-    """Set the page with the built-in fonts.
-
-    Other signs use the system's; signs in no font are replaced by code points.
-    """
     text = (folder / "data.json").read_text(encoding="utf-8")
     with suppress(_MissingSign):
         return _compiled(folder, report, system_fonts=False)

@@ -287,8 +287,8 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
             at = int(np.argmax(off_m))
             begin, end = log["t_s"][known[[first[at], after[at]]]]
             what = "stands still while they roll" if stand[at] > leap[at] else "leaps further than they roll"
-            text = f"""the position does not follow the wheels {far.sum()} time(s): most from {begin:.4g} to {end:.4g} s,
-                where it {what}, by {off_m[at]:.2g} m; was it lost or hidden? Empty these cells, or exclude the run"""
+            text = f"""the position does not follow the wheels {far.sum()} time(s), most from {begin:.4g} to {end:.4g} s:
+                it {what}, by {off_m[at]:.2g} m; was it lost or hidden? Empty these cells, or exclude the run"""
             yield design.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
 
 
@@ -373,7 +373,6 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
 
 
 def _logged_headings(campaign: Campaign) -> Iterator[Note]:
-    """Compare headings along the path with the counts where these turn fastest: wraps are single steps."""
     ratios = []
     for _, log in campaign.logs.each():
         if log.keys() >= {"ref_theta_rad", "counts_left", "counts_right"}:

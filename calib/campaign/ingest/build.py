@@ -202,7 +202,6 @@ def _with_reference_load(work: _Ingestion, runs: RunTable) -> OdometryModel:
 
 
 def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable | None:
-    """Return a source as run table; None where it is a log or recording. `named`: a column has to name runs."""
     if not path.exists():
         raise BadInputError(f"{path}: found no such file; expected a run table or a recording; correct the path")
     if path.is_dir() or holds_recording(path):
@@ -222,7 +221,6 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
 
 
 def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: _Ingestion) -> dict[Path, RawTable]:
-    """Return the further sources where all are tables of the first one's columns, as one file a run; else none."""
     given = work.mapping.table
     stated = any(work.mapping.log.model_dump(exclude={"lag"}).values())
     if stated or work.mapping.cut or given.sheets or "log" in table.columns:

@@ -141,7 +141,6 @@ def _may_be_joined(file: FileContents, table: FileContents) -> bool:
 
 
 def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:
-    """Return the run table: with names, or distances and counts without a clock; else that with a row for each log."""
     best, best_score = None, 0
     for file in files:
         guesses = {guessed_table_column(column.name) for column in file.columns} - {None}

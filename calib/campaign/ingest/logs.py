@@ -261,7 +261,6 @@ def _without_repeats(columns: dict[str, FloatArray], shown: str, border: Border)
 
 
 def _note_clocks(recording: Recording, base: Stream, shown: str, border: Border) -> None:
-    """Note what the streams' clocks show: span, rate, gaps, and offsets from the wheels' stream `base`."""
     own = base.contents()
     for stream in recording.streams:
         clock = stream.contents()

@@ -158,7 +158,6 @@ def _w(of_axis: ColumnContents) -> str:
 
 
 def _lay_flat(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> None:
-    """Take the reference's other two axes where x or y is its vertical, and its quaternion's turn, in place."""
     named = {column.name: column for column in columns}
     x = found["ref_x_m"].name if "ref_x_m" in found else ""
     at_x = len(x.partition(" [")[0]) - 1  # a unit may follow
@@ -248,7 +247,6 @@ def _wheel_lines(
 
 
 def _folded(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
-    """Make two wheels of corners in a pair, or coupled on each side (skid steer), in place; return a remark."""
     for axle in (0, 1):
         names = [pair[axle] for pair in _CORNERS.values()]
         if sorted(corners) == sorted(names):

@@ -214,7 +214,6 @@ def numpy_table(body: bytes, rows: int, width: int, delimiter: str) -> FloatArra
 def _parsed(
     body: bytes, rows: int, names: Sequence[str], keep: Sequence[str], delimiter: str, decimal: str
 ) -> tuple[FloatArray, list[bool]] | None:
-    """Return the kept columns, (rows, n_kept), and which hold decimals; None where a cell is no number."""
     import pandas as pd
 
     try:

@@ -184,7 +184,6 @@ def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
 
 
 def _beneath_numbers(filled: Sequence[Sequence[Any]], first: int) -> int:
-    """Return the row of names beneath one that names columns twice, numbers between: those are no data."""
     if len({*filled[first]}) == len(filled[first]):
         return first
     numeric = [sum(map(is_number, row)) for row in filled[: first + _HEADER_LINES + 1]]

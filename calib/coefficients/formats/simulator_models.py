@@ -145,7 +145,6 @@ def _add(candidates: dict[str, list[Node]], name: str, node: Node) -> None:
 
 
 def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
-    """Return the place of a wheel whose link states none: its collision's, if it has a pose in the link's frame."""
     shapes = [part for part in link.children if part.tag in ("collision", "visual", "inertial")]
     siblings = [] if link.parent is None else link.parent.children
     joints = [node for node in siblings if node.tag == "joint" and _child_link(node) is link and node.child("pose")]
@@ -230,7 +229,6 @@ def _shape(model: ModelFile, geom: Node) -> tuple[float, ...] | None:
 
 
 def _inherited(model: ModelFile, geom: Node, attribute: str) -> str | None:
-    """Return an attribute as MuJoCo reads it: the geom's, its class's, the nearest childclass's, the defaults'."""
     if attribute in geom.attributes:
         return geom.attributes[attribute]
     children = (node.attributes["childclass"] for node in geom.ancestors() if "childclass" in node.attributes)

@@ -338,10 +338,6 @@ def nothing_else_probability(evidence: Evidence, groups: Sequence[Sequence[str]]
 
 
 def _shared_with_aliases(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, dict[str, float]]:
-    """Return the share of each calibration parameter's probability that goes to its aliases.
-
-    Aliases not weighed with it have their prior odds.
-    """
     prior = PRIOR_SHIFT_ODDS / len(NAMES)
     weighed = {name for name, probability in evidence.search.inclusion().items() if probability > WEIGHED_PROBABILITY}
     shared: dict[str, dict[str, float]] = {}

@@ -361,7 +361,6 @@ class Observations:
 
     @cached_property
     def _half_window(self) -> int:
-        """Steps to either side: as `CURVATURE_ERROR_PER_TRACK` asks; more would take arcs into straights."""
         step_m = np.abs(self.path_m)
         rolling = step_m > 1e-6
         if not rolling.any():

@@ -254,7 +254,6 @@ def _carried_N(units: Sequence[Observation], steps: WheelTravel, numbers: dict[s
 
 
 def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, remarks: list[str]) -> FloatArray:
-    """Fill a few missing or absurd values of a covariate (n_obs,) from the session, and say so: gaps bar effects."""
     known = np.isfinite(values)
     if not known.any():
         return values

@@ -291,7 +291,6 @@ NEAR_PLACE: Final = 0.25
 
 
 def _begins_at_place(of_sensor: FloatArray, reference: Reference) -> bool:
-    """Return whether poses begin at the sensor's place: their frame is the vehicle's at its start, not the sensor's."""
     place = np.array([reference.sensor_x_m, reference.sensor_y_m, reference.sensor_yaw_rad])
     turns = 2.0 * np.pi * np.round((of_sensor[0, 2] - place[2]) / (2.0 * np.pi))
     first = of_sensor[0] - [0.0, 0.0, turns]

@@ -300,7 +300,6 @@ def _averaged(
     known: Mapping[tuple[str, float], FloatArray],
     scatter: FloatArray,
 ) -> Differences:
-    """Return a noisy simulator's differences: means of `REPEATS` runs; a step that the scatter hides is enlarged."""
     settings, sets = runner.settings, {("", 0.0): list(at_nominal)}
     size = dict[str, float]()
     for each in settings.parameters:

@@ -254,7 +254,6 @@ def _groups(group: StrArray) -> Groups:
 
 
 def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mean x, mean y and half the 95 % interval of classes: few values themselves, else equal counts."""
     from calib.gap.decision.constancy import half_of_mean
 
     values, index = np.unique(x, return_inverse=True)
