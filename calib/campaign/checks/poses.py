@@ -288,7 +288,7 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
             begin, end = log["t_s"][known[[first[at], after[at]]]]
             what = "stands still while they roll" if stand[at] > leap[at] else "leaps further than they roll"
             text = f"""the position does not follow the wheels {far.sum()} time(s), most from {begin:.4g} to
-                {end:.4g} s: it {what}, by {off_m[at]:.2g} m; was it lost or hidden? Empty these cells, or exclude the run"""
+                {end:.4g} s: it {what}, by {off_m[at]:.2g} m; lost or hidden? Empty these cells, or exclude the run"""
             yield design.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
 
 
