@@ -57,7 +57,7 @@ def _section(effect: str, form: str, sizes: dict[str, float], **settings: float)
 @pytest.mark.parametrize(
     ("effect", "seed"),
     [
-        ("track_width", 3),
+        ("track_width", 5),
         # 2,400 times as strong as the noise: one part in a hundred of it is a gap of its own
         ("load_radius", 4),
         ("temperature_radius", 3),

@@ -10,7 +10,6 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
-from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import odometry_source, on_one_axle
 from calib.types import FloatArray, IntArray, StrArray
 
@@ -346,19 +345,8 @@ def pasted_rows(campaign: Campaign) -> Iterator[Note]:
 
     Counts alone repeat honestly where they are few, or a stepping motor's.
     """
-    reference, names, seen = (
-        campaign.reference,
-        ("distance_m", *REFERENCE_POSE, *WHEEL_LOADS),
-        defaultdict[Any, list[Any]](list),
-    )
-    sigmas = (
-        campaign.rangefinder.sigma_m,
-        reference.sigma_xy_m,
-        reference.sigma_xy_m,
-        reference.sigma_theta_rad,
-        1.0,
-        1.0,
-    )
+    reference, names, seen = campaign.reference, ("distance_m", *REFERENCE_POSE), defaultdict[Any, list[Any]](list)
+    sigmas = campaign.rangefinder.sigma_m, reference.sigma_xy_m, reference.sigma_xy_m, reference.sigma_theta_rad
     table = np.stack([campaign.runs.number(name) for name in names], axis=1)
     for run, counts in enumerate(both_sides(campaign, "counts_{}").T):
         log, counted = campaign.logs.of(run), counts.prod()
