@@ -6,6 +6,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from calib.campaign.checks.design import pasted_rows
 from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS
@@ -201,7 +202,11 @@ def recording_of(campaign: Campaign, source: str) -> Recording:
     per_rev = np.array(counts_per_rev(campaign.encoder, source))
     in_map = poses_are_in_a_map(campaign)
     away = in_map and campaign.reference.frame is None and _begins_away(campaign)
-    found = [_piece(campaign, row, source, per_rev, in_map, away) for row in range(len(campaign.runs))]
+    copied = {note.run_id: "a copy of another run, which counts once" for note in pasted_rows(campaign)}
+    found = [
+        copied.get(run_id) or _piece(campaign, row, source, per_rev, in_map, away)
+        for row, run_id in enumerate(campaign.runs.run_id)
+    ]
     if campaign.model.slope_left_m_per_N or campaign.model.slope_right_m_per_N:
         # a law of the load believes none at its reference load that others are far from
         carried = [not isinstance(piece, str) and piece.loads is not None for piece in found]

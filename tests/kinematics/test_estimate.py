@@ -56,6 +56,19 @@ def test_a_gross_error_is_named_and_hardly_moves_the_result() -> None:
         assert abs(found[name].value - getattr(TRUTH, name)) < SIGMAS * found[name].std
 
 
+@pytest.mark.parametrize("along", [True, False])
+def test_runs_recorded_twice_count_once(along: bool) -> None:
+    """Under other names: values, intervals and verdict are those of the runs once, and they are said to be copies."""
+    once = campaign(mixed(3), TRUTH, np.random.default_rng(7), along=along)
+    both = once.select(np.tile(np.arange(len(once.runs)), 2))
+    names = np.array([*once.runs.run_id, *(f"again_{name}" for name in once.runs.run_id)])
+    twice = replace(both, runs=replace(both.runs, labels={**both.runs.labels, "run_id": names}))
+    single, found = estimate_geometry(once), estimate_geometry(twice)
+    assert found.estimates == single.estimates
+    assert (found.passed, found.n_runs) == (single.passed, len(once.runs))
+    assert any(f"Omitted: {len(once.runs)} runs; the first, again_" in note for note in found.notes)
+
+
 def test_sensor_pose_and_delay_are_found_along_the_way() -> None:
     """Windows determine where the sensor sits and how late its stamps are, together with the wheels."""
     truth = Truth(sensor=(0.11, -0.04, 0.3), delay_s=0.12)
