@@ -19,7 +19,7 @@ from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
-from calib.gap.decision.kind import NOTHING_NAMED, fails, open_questions, tells_more, with_left
+from calib.gap.decision.kind import fails, open_questions, tells_more, with_left
 from calib.gap.decision.trials import most_square, trials
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
@@ -89,7 +89,7 @@ def diagnose_in_full(
         _check_copied(situation.campaign, predict(found))
     judge = partial(_judged, given, (seed, model_name, candidates, journeys), progress)
     diagnosis = judge(sought, situation)
-    if own and not found.windowed and diagnosis.kind in NOTHING_NAMED:
+    if own and not found.windowed and all(cause.probability < EVEN_PROBABILITY for cause in diagnosis.causes):
         along = replace(sought, into_windows=True)
         windows = replace(along.situation(given), omitted=situation.omitted)
         if windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):

@@ -328,11 +328,7 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
 
 
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
-    """Return a straight run's end pose of its measured length: x, else NaN.
-
-    `row`: number of the run; `source`: only two wheels on one axle tell by themselves whether it was straight;
-    `turned_rad` (shape (2,)): turn of each wheel in all.
-    """
+    """Return a straight run's end pose of its measured length: x, else NaN; two wheels on one axle tell if straight."""
     model, end = campaign.model, np.full(3, np.nan)
     if source != "rear":
         return end

@@ -108,7 +108,7 @@ def kind_of(
 def tells_more(windows: Diagnosis, ends: Diagnosis) -> bool:
     """Return whether windows of recordings show what ends do not, as a delay that does not add up along the way.
 
-    A gap beyond chance that is mostly no noise where ends show none, or causes of all of one that none explains there.
+    A gap beyond chance that is mostly no noise where ends show none, or causes of all of one without likely ones there.
     """
     if ends.kind not in NO_GAP_SHOWN:
         return windows.kind is VerdictKind.EXPLAINED and windows.recommended

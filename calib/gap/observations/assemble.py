@@ -5,6 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.checks.design import listed
 from calib.campaign.model import Campaign
 from calib.campaign.read import looks_ahead
 from calib.campaign.settings import WHEEL_LOADS
@@ -36,8 +37,8 @@ PLAUSIBLE_VALUES: Final = {"temperature_C": (-50.0, 60.0)}
 MOST_SPREADS: Final = 20.0
 #: share that is a few
 MOST_ODD: Final = 0.2
-#: runs named in a remark
-MOST_LISTED: Final = 5
+#: load over the empty vehicle's of a vehicle that carries nothing: load cells differ by a per cent
+MOST_OF_EMPTY: Final = 1.02
 _LABELS = ("run_id", "session", "kind", "direction")
 
 
@@ -233,6 +234,11 @@ def _numbers(
         remarks.append("no payload or wheel load is given: every run is taken as unladen")
     runs = campaign.runs
     numbers = {name: runs.number(name)[index] for name in runs.numbers}
+    if (waited := numbers.get("minutes_under_load")) is not None:
+        # nothing was put on an empty vehicle
+        empty = runs.number("payload_kg")[index] == 0.0
+        empty |= (left + right)[index] < MOST_OF_EMPTY * 2.0 * campaign.vehicle.unladen_load_N
+        waited[empty & np.isnan(waited)] = 0.0
     for name in (*FILLED, *runs.covariates):
         if name in numbers:
             numbers[name] = _filled(name, numbers[name], runs.label("session")[index], runs.run_id[index], remarks)
@@ -263,14 +269,17 @@ def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, 
     if spread > 0.0:
         low, high = max(low, middle - MOST_SPREADS * spread), min(high, middle + MOST_SPREADS * spread)
     bad = ~known | (values < low) | (values > high)
-    if not bad.any() or bad.sum() > MOST_ODD * len(values):
+    if not bad.any():
+        return values
+    where = f"{name} is missing or absurd in {listed(list(dict.fromkeys(run_id[bad])))}"
+    if bad.sum() > MOST_ODD * len(values):
+        remarks.append(f"{where}: no cause that follows it was tested; state it")
         return values
     filled = values.copy()
     for number in np.flatnonzero(bad):
         alike = ~bad & (session == session[number])
         filled[number] = np.mean(values[alike]) if alike.any() else middle
-    where = f"{int(bad.sum())} runs ({', '.join(dict.fromkeys(map(str, run_id[bad][:MOST_LISTED])))})"
-    remarks.append(f"{name} is missing or absurd in {where}: the mean of the session stands for it")
+    remarks.append(f"{where}: the mean of the session stands for it")
     return filled
 
 

@@ -64,13 +64,19 @@ def test_windows_follow_one_another_within_a_recording() -> None:
     np.testing.assert_array_equal(observations.follows, observations.window > 0)
 
 
-@pytest.mark.parametrize(("repeats", "delay_s"), [(6, 0.12), (24, 0.12), (6, 0.0)])
-def test_a_delay_shows_along_many_runs_that_end_at_rest(repeats: int, delay_s: float) -> None:
+#: draws of the noise; in the second the ends alone show an unlikely cause, braking_skid at 0.23
+USUAL, MISLEADING = 5, 7
+
+
+@pytest.mark.parametrize(
+    ("repeats", "delay_s", "seed"), [(6, 0.12, USUAL), (6, 0.12, MISLEADING), (24, 0.12, USUAL), (6, 0.0, USUAL)]
+)
+def test_a_delay_shows_along_many_runs_that_end_at_rest(repeats: int, delay_s: float, seed: int) -> None:
     """Ends at standstill hold no delay, however often a route is driven: the paths of the recordings do."""
     truth = Truth(0.05, 0.05, 0.4, delay_s=delay_s)
     legs: list[Leg] = [(0.0, 0.0), (0.5, 0.0), (0.8, 1.5), (0.5, 0.0), (0.0, 0.0)]
     routes = [("left", legs), ("right", [(way, -turn) for way, turn in legs])] * repeats
-    made = campaign(routes, truth, np.random.default_rng(5), along=True, walk=1e-3, duration_s=8.0, samples=100)
+    made = campaign(routes, truth, np.random.default_rng(seed), along=True, walk=1e-3, duration_s=8.0, samples=100)
     assert not observations_of(made).windowed
     found = diagnose_in_full(made, plan=False)
     if not delay_s:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.observations.from_campaign import with_known_loads
+from calib.gap.effects.load import LoadCreep
+from calib.gap.observations.from_campaign import observations_of, with_known_loads
 from tests.gap.observations.paths import Truth, campaign_of
 
 N_RUNS = 12
@@ -43,3 +44,23 @@ def test_a_diagnosis_says_which_it_omitted() -> None:
     found = diagnose_in_full(campaign_of(**runs_of(load_left_N=3.0 * HALF, load_right_N=3.0 * HALF)), plan=False)
     assert len(found.observations) == N_RUNS // 2
     assert "Omitted are 6 runs without wheel loads or a payload" in found.sentence
+
+
+LADEN = np.arange(N_RUNS) % 3 > 0
+
+
+@pytest.mark.parametrize("stated", ["payload", "weighed"])
+def test_nothing_creeps_on_an_empty_vehicle(stated: str) -> None:
+    """Its time under load need not be stated, in however many runs; a laden run's does."""
+    minutes = np.where(LADEN, 5.0 * np.arange(N_RUNS), np.nan)
+    own_N = campaign_of(**runs_of()).vehicle.unladen_load_N
+    carried = {"payload_kg": 100.0 * LADEN} if stated == "payload" else {}
+    if stated == "weighed":
+        # a load cell reads one per cent more
+        carried = {f"load_{side}_N": 1.01 * own_N + 400.0 * LADEN for side in ("left", "right")}
+    found = observations_of(campaign_of(**runs_of(minutes_under_load=minutes, **carried)))
+    np.testing.assert_array_equal(found.number("minutes_under_load"), np.where(LADEN, minutes, 0.0))
+    assert LoadCreep().forms(found)
+    unknown = observations_of(campaign_of(**runs_of(minutes_under_load=np.where(LADEN, np.nan, 5.0), **carried)))
+    assert not LoadCreep().forms(unknown)
+    assert any("minutes_under_load is missing or absurd in r" in note and "state it" in note for note in unknown.notes)
