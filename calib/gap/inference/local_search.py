@@ -1,15 +1,16 @@
 """Stepwise search about one linearisation, from set to set of effects by scalar products alone."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from calib.gap.effects.effect import Form
+from calib.gap.effects.library import effect_class
 from calib.gap.inference.fit import Fitted, by_form
 from calib.gap.inference.least_squares import Weighting, controlled_step
 from calib.gap.inference.linear_model import LinearSystem
@@ -87,12 +88,17 @@ class LocalSearch:
     def _deviations(self, system: LinearSystem, sizes: Mapping[int, FloatArray]) -> FloatArray:
         # another zero point is exact
         own = {k: size * [not p.shift for p in system.forms[k].parameters] for k, size in sizes.items()}
-        deviations = [self.settings.tolerance * (system.of(k) @ size) for k, size in own.items()]
-        return np.stack(deviations, axis=1) if deviations else np.zeros((len(system.gap), 0))
+        deviations = defaultdict[str, Any](float)
+        for k, size in own.items():
+            name = system.forms[k].effect
+            # straight and curved part, which may be large and opposite, are one law of the load
+            law = "law" if (kind := effect_class(name)) is not None and kind.is_load_law else name
+            deviations[law] += self.settings.tolerance * (system.of(k) @ size)
+        return np.stack([*deviations.values()], axis=1) if deviations else np.zeros((len(system.gap), 0))
 
     @property
     def deviations(self) -> FloatArray:
-        """Of each condition from the current forms, shape (n_rows, n_forms)."""
+        """Of each condition from the current forms, shape (n_rows, n)."""
         return self._deviations(self.system, {k: self.sizes[k] for k in self.current})
 
     def _sums_beside(self) -> Sums:

@@ -49,7 +49,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     starts = np.concatenate(([0], np.cumsum(_each(units, "n_steps")))).astype(np.int64)
     travel = (rolls[0] * model.radius_left_m, rolls[1] * model.radius_right_m)
     steps = WheelTravel(starts, *travel, model.track_m, _of_steps(units, "time_s"), _each(units, "from_log"))
-    front, steer = _of_steps(units, "front_rad"), _of_steps(units, "steer_rad", _middles)
+    front, steer = _of_steps(units, "front_rad"), _of_steps(units, "steer_rad", lambda s: 0.5 * (s[1:] + s[:-1]))
     path, turn, index = steps.total(steps.path_m), steps.total(steps.turn_rad), _each(units, "run")
     measured, usable = _measured(units, path, turn, steps.logged, remarks)
     guided, sigma_led = _guided(setup, steps, measured, usable, index, remarks, one_sensor=np.array_equal(*rolls))
@@ -58,6 +58,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     measured[usable[:, Channel.FRONT], Channel.FRONT :] = 0.0
     numbers, carried_N = _numbers(campaign, units, steps, remarks)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
+    both_ways = bool(np.isin(labels["direction"], ("out", "back")).any())
     route, condition, cell = replicates(campaign, steps, measured[:, Channel.HEADING], numbers, labels)
     return Observations(
         vehicle=campaign.vehicle,
@@ -95,7 +96,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         sigma_theta_rad=np.where(guided, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
         count_rad=(1 / setup.per_rad.left, 1 / setup.per_rad.right),
         windowed=any(u.window > 0 for u in units),
-        common_frame=setup.in_map or (campaign.reference.frame is None and _both_ways(campaign)),
+        common_frame=setup.in_map or (campaign.reference.frame is None and both_ways),
         guided=guided,
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(remarks),
@@ -103,10 +104,6 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         by_shaft=stands_in and campaign.odometry.source == "shaft",
         aside_m=None if any(u.aside_m is None for u in units) else _of_steps(units, "aside_m"),
     )
-
-
-def _both_ways(campaign: Campaign) -> bool:
-    return bool(np.isin(campaign.runs.label("direction"), ("out", "back")).any())
 
 
 def _each(units: Sequence[Observation], name: str) -> np.ndarray[Any, Any]:
@@ -123,10 +120,6 @@ def _of_steps(units: Sequence[Observation], name: str, of: Callable[[FloatArray]
 
 def _ends(samples: FloatArray) -> FloatArray:
     return samples[1:]
-
-
-def _middles(samples: FloatArray) -> FloatArray:
-    return 0.5 * (samples[1:] + samples[:-1])
 
 
 def _stated(units: Sequence[Observation], name: str, campaign: Campaign) -> FloatArray:

@@ -45,11 +45,6 @@ class Recorded:
     reference: ReferencePoses | None
 
 
-def window_length_m(travelled_m: float, track_m: float) -> float:
-    """Return the length of windows: short enough for many, long enough that wheels matter."""
-    return float(np.clip(travelled_m / WINDOWS_WANTED, min(MIN_WINDOW_TRACKS * track_m, WINDOW_M), WINDOW_M))
-
-
 def edges_along(way_m: FloatArray, count: float) -> IntArray:
     """Return samples that border windows of equal way, at most one a sample.
 
@@ -216,7 +211,9 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool, sha
     campaign, references = setup.campaign, [run.reference for run in recorded if run.reference is not None]
     travelled_m = sum(float(each.travelled_m[-1]) for each in references)
     # of three in a usual recording asked for by windows, one begins and ends on the move
-    length_m = window_length_m(travelled_m / max(share, 1.0), setup.model.track_m)
+    wanted_m = travelled_m / (WINDOWS_WANTED * max(share, 1.0))
+    # short enough for many windows, long enough that wheels matter
+    length_m = float(np.clip(wanted_m, min(MIN_WINDOW_TRACKS * setup.model.track_m, WINDOW_M), WINDOW_M))
     units: list[Observation] = []
     n_cut = 0
     for run in recorded:

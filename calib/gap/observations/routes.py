@@ -9,7 +9,6 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
-from calib.vehicle import Vehicle
 
 #: places at which routes are compared
 ROUTE_KNOTS: Final = 10
@@ -127,10 +126,6 @@ def _shapes(driven: WheelTravel, heading_rad: FloatArray) -> tuple[FloatArray, F
     return np.stack([heading, way], axis=1), length, tolerance
 
 
-def _load_width_N(vehicle: Vehicle) -> float:
-    return 0.017 * vehicle.unladen_load_N
-
-
 def speed_width_mps(speed_mps: FloatArray) -> float:
     """Return the difference of speeds that tells runs apart: a tenth, 0.05 m/s at most."""
     known = speed_mps[np.isfinite(speed_mps) & (speed_mps > 0)]
@@ -177,7 +172,8 @@ def replicates(
     nothing = np.zeros(len(route))
     speed = _measured_speed(driven)
     speed = np.where(np.isfinite(speed), speed, numbers.get("speed_mps", nothing + np.nan))
-    loads = [levels(numbers[name], _load_width_N(campaign.vehicle)) for name in ("load_left_N", "load_right_N")]
+    width_N = 0.017 * campaign.vehicle.unladen_load_N
+    loads = [levels(numbers[name], width_N) for name in ("load_left_N", "load_right_N")]
     condition = row_numbers([route, *loads, levels(speed, speed_width_mps(speed))])
     warmth, dwell = (numbers.get(name, nothing) for name in ("temperature_C", "minutes_under_load"))
     further = [levels(numbers[name], _column_width(numbers[name])) for name in campaign.runs.covariates]
