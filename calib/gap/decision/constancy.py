@@ -79,6 +79,8 @@ def session_scatter(evidence: Evidence) -> SessionScatter | None:
     variance, dof = variance_component(estimates[p:], covariance[p:, p:])
     if not variance:
         return None
+    # of steps that were not known at all, their number; a variance near zero is small, not unknown
+    dof = max(dof, len(labels) - 1.0)
     without = fit.weighting.solve(fit.columns, fit.precision)[1]
     return SessionScatter(without, solved(1.0 / variance)[1][:p, :p], dof)
 
@@ -94,7 +96,7 @@ def variance_component(estimates: FloatArray, covariance: FloatArray) -> tuple[f
     squares = (axes.T @ estimates) ** 2
 
     def misfit(log_variance: float) -> float:
-        whole = variances + np.exp(log_variance)
+        whole = np.abs(variances) + np.exp(log_variance)
         return float(np.sum(np.log(whole) + squares / whole))
 
     best = minimize_scalar(misfit, bounds=_LOG_VARIANCES, method="bounded", options={"xatol": 1e-6})

@@ -10,7 +10,14 @@ from calib.gap.decision.causes import Finding
 from calib.gap.decision.constancy import SET_WITH_SESSIONS
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import Closure, Improvement
-from calib.gap.decision.kind import HALF_CLOSURE, SIGNAL_OVER_UNEXPLAINED, SMALL_SHARE, corrections_agree, fails
+from calib.gap.decision.kind import (
+    CERTAIN_PROBABILITY,
+    HALF_CLOSURE,
+    SIGNAL_OVER_UNEXPLAINED,
+    SMALL_SHARE,
+    corrections_agree,
+    fails,
+)
 from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class, why_not_transferable
@@ -47,7 +54,7 @@ def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str
     fix = Fix(agreement_m=apart_m, agreement_on=on, nothing_else=nothing_else)
     if not found.causes:
         return fix
-    fitted = [name for name in evidence.named if name not in small]
+    fitted, gap = [name for name in evidence.named if name not in small], confounding.gap_probability(evidence)
     unnamed = [name for name in fitted if name not in {cause.effect for cause in found.causes}]
     improvement = evidence.held_out.improvement
     why = (
@@ -56,6 +63,8 @@ def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, alternatives(evidence, found)),
         *unsized(evidence, found),
+        # noise that looks like a cause looks like its improvement, too
+        *([] if gap >= CERTAIN_PROBABILITY else [f"the probability that there is a gap at all is {gap:.2f}; {REPEAT}"]),
         # what is shown beyond too high a level holds at any lower one
         *([] if noise_bounded(evidence) else [f"the noise level rests on {evidence.noise.support}; {REPEAT}"]),
     )

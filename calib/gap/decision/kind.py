@@ -125,22 +125,20 @@ def with_left(diagnosis: Diagnosis) -> Diagnosis:
     known = diagnosis.unexplained or diagnosis.left
     if known is not None or diagnosis.kind is not VerdictKind.PARTLY_EXPLAINED:
         return diagnosis
-    left: list[tuple[float, float, str]] = []
+    left: list[tuple[float, str]] = []
     beyond = [line for line in closure.channels if line.after_rms > line.floor_rms > 0.0] if closure.leaves_part else []
     large = [line for line in beyond if line.after_rms > LARGE_RESIDUAL * line.floor_rms]
     for line in large or beyond:
         times = line.after_rms / line.floor_rms
         n = 1 if evidence is None else int(evidence.observations.usable[:, line.channel].sum())
-        share = 0.0 if line.fraction is None else 1.0 - line.fraction
-        left.append((share, n * (times**2 - 1.0), f"{line.channel.label}: {times:.2g} times its noise level"))
-    for trial in filter(fails, diagnosis.fix.transfer):
-        square, gap = (each - trial.noise_square for each in (trial.after_square, trial.before_square))
-        share = square / gap if gap > 0.0 else 1.0
-        left.append((share, square, f"{trial.left_out} {trial.value}, held out"))
+        left.append((n * (times**2 - 1.0), f"{line.channel.label}: {times:.2g} times its noise level"))
+    failed = filter(fails, diagnosis.fix.transfer)
+    left += [(each.after_square - each.noise_square, f"{each.left_out} {each.value}, held out") for each in failed]
     if not left:
         return diagnosis
-    where = tuple(words for _, _, words in left)
-    share, square = (max(each) for each in list(zip(*left, strict=True))[:2])
+    where = tuple(words for _, words in left)
+    # of the whole gap: a condition with a small one may keep all of it
+    share, square = 1.0 - (closure.fraction or 0.0), max(left)[0]
     on = "run again with the fix" if closure.held_out == RERUN else "on held-out runs"
     told = f"left {on}: {'; '.join(where)}; repeats in another session tell noise from a further cause"
     found = Unexplained(min(max(share, 0.0), 1.0), sqrt(square), where)

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -148,7 +149,11 @@ def _along(evidence: Evidence, names: Collection[str]) -> FloatArray:
 
 
 def _moved_by(evidence: Evidence, names: Collection[str]) -> set[str]:
-    return {*names, *(shift for name in evidence.effects.keys() & names for shift in evidence.effects[name].own_shifts)}
+    known = [evidence.effects[name] for name in evidence.effects.keys() & names]
+    # a line and its bend are a new law: where the old one crosses it, nothing tells
+    new_law = sum(effect.is_load_law for effect in known) > 1
+    shifts = (effect.shifts if new_law and effect.is_load_law else effect.own_shifts for effect in known)
+    return {*names, *chain.from_iterable(shifts)}
 
 
 def _tried(

@@ -92,6 +92,11 @@ def effect_class(name: str) -> type[Effect] | None:
     return REGISTRY.get(name)
 
 
+def is_load_law(name: str) -> bool:
+    """Return whether an effect is a law of the load: its straight and curved part are one cause."""
+    return name in REGISTRY and REGISTRY[name].is_load_law
+
+
 def title_of(name: str) -> str:
     """Return the title of an effect by its id; the id in plain words where the effect is the user's own."""
     if name in REGISTRY:

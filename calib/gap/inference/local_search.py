@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.effects.library import effect_class
+from calib.gap.effects.library import is_load_law
 from calib.gap.inference.fit import Fitted, by_form
 from calib.gap.inference.least_squares import Weighting, controlled_step
 from calib.gap.inference.linear_model import LinearSystem
@@ -91,9 +91,8 @@ class LocalSearch:
         deviations = defaultdict[str, Any](float)
         for k, size in own.items():
             name = system.forms[k].effect
-            # straight and curved part, which may be large and opposite, are one law of the load
-            law = "law" if (kind := effect_class(name)) is not None and kind.is_load_law else name
-            deviations[law] += self.settings.tolerance * (system.of(k) @ size)
+            # straight and curved part may be large and opposite
+            deviations["law" if is_load_law(name) else name] += self.settings.tolerance * (system.of(k) @ size)
         return np.stack([*deviations.values()], axis=1) if deviations else np.zeros((len(system.gap), 0))
 
     @property

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Form
+from calib.gap.effects.library import is_load_law
 from calib.gap.inference.lack_of_fit import Blocks, LackOfFit
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -69,7 +70,8 @@ class FormPriors:
     sign: IntArray  #: shape (p,): 1 or -1 where sizes have that sign only, else 0
     own: FloatArray  #: shape (p,): 1; 0 for a shift of the zero point
     log_prior: FloatArray  #: shape (n_forms,): of each form of its effect
-    by_count: FloatArray  #: shape (n_effects + 1,): log prior of a set of so many effects
+    by_count: FloatArray  #: shape (n_effects + 1,): log prior of a set of so many effects, laws of the load being one
+    is_law: FloatArray  #: shape (n_forms,): 1 for laws of the load
 
     @staticmethod
     def from_forms(forms: Sequence[Form], further: float) -> "FormPriors":
@@ -89,7 +91,8 @@ class FormPriors:
         signed = np.array([sum(p.sign != 0 for p in form.parameters) for form in forms])
         log_prior = -np.log([form.tries for form in forms]) - SCALE_CHOICE_COST + np.log(2.0) * signed
         by_count = np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)])
-        return FormPriors(tuple(forms), layout, most, sign, own, log_prior, by_count)
+        is_law = np.array([is_load_law(form.effect) for form in forms], dtype=np.float64)
+        return FormPriors(tuple(forms), layout, most, sign, own, log_prior, by_count, is_law)
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
         """Return models' columns and their forms, both (n_models, width), else -1."""
@@ -111,7 +114,9 @@ class FormPriors:
     def priors(self, models: Sequence[tuple[int, ...]]) -> FloatArray:
         """Return models' log priors, (n_models,)."""
         form, row = _forms_of(models)
-        return np.bincount(row, self.log_prior[form], len(models)) + self.by_count[[len(model) for model in models]]
+        laws = np.bincount(row, self.is_law[form], len(models)).astype(np.int64)
+        count = np.bincount(row, minlength=len(models)) - np.maximum(laws - 1, 0)
+        return np.bincount(row, self.log_prior[form], len(models)) + self.by_count[count]
 
 
 def _forms_of(models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, multivariate_t, norm
 
-from calib.gap.effects.effect import Form
+from calib.gap.effects.effect import Form, Parameter
 from calib.gap.inference.fit import whitened_rows
 from calib.gap.inference.marginal_likelihood import (
     FLOOR_DOF,
@@ -23,7 +23,7 @@ from calib.gap.inference.marginal_likelihood import (
     model_sizes,
     project,
 )
-from calib.gap.inference.scalar_products import FormPriors, Layout, Sums, WideSums
+from calib.gap.inference.scalar_products import SCALE_CHOICE_COST, FormPriors, Layout, Sums, WideSums
 from calib.gap.plan.identifiability import noise_at
 from calib.gap.predict import predict
 from tests.gap.effects.making import rich_runs, situation
@@ -220,8 +220,10 @@ def test_a_hypothesis_of_many_columns_is_weighed_as_one_of_few() -> None:
     in_one = Sums(gram[:, order[:, None], order], right[:, order], *others)
     most, odds, by_count = np.full(104, 5.0), np.array([-1.0, -2.0, -3.0]), -np.arange(4.0)
     models = [(1,), (0,), (0, 1), (2, 1, 0), (2, 1), (2,)]
-    made = log_weights(in_axes, FormPriors((), apart, most, sign, np.ones(104), odds, by_count), models)
-    wanted = log_weights(in_one, FormPriors((), together, most, sign[order], np.ones(104), odds, by_count), models)
+    made = log_weights(in_axes, FormPriors((), apart, most, sign, np.ones(104), odds, by_count, np.zeros(3)), models)
+    wanted = log_weights(
+        in_one, FormPriors((), together, most, sign[order], np.ones(104), odds, by_count, np.zeros(3)), models
+    )
     weighed = np.isfinite(made)
     np.testing.assert_allclose(made[weighed], wanted[weighed], rtol=RTOL)
     assert weighed[:3].all()
@@ -241,8 +243,20 @@ def test_sizes_of_a_wide_form_stand_in_the_order_of_the_model() -> None:
     of_wide = WideSums(lambda n: (gram[n, 2:, 2:], np.c_[gram[n, 2:, :2], right[n, 2:]]), np.arange(2))
     sums = Sums(gram[:, :2, :2], right[:, :2], zero, zero, zero, zero.astype(int), zero, 200, of_wide)
     layout = Layout.arranged(np.array([30, 2]), 0)
-    priors = FormPriors((), layout, np.full(32, 5.0), np.zeros(32, dtype=int), np.ones(32), np.zeros(2), np.zeros(3))
+    alike = np.full(32, 5.0), np.zeros(32, dtype=int), np.ones(32)
+    priors = FormPriors((), layout, *alike, np.zeros(2), np.zeros(3), np.zeros(2))
     wanted = sum(share * np.linalg.solve(gram[n] + 1e-2 * np.eye(32), right[n]) for n, share in enumerate((0.25, 0.75)))
     for model, places in (((0, 1), [*range(2, 32), 0, 1]), ((1, 0), range(32))):
         made = model_sizes(sums, priors, model, np.array([0.25, 0.75]))
         np.testing.assert_allclose(made, np.asarray(wanted)[list(places)], rtol=1e-6)
+
+
+def test_straight_and_curved_law_of_the_load_are_one_cause() -> None:
+    """Both together are as likely before any data as one of them, but for the choice of the second's form."""
+    names = ("load_radius", "load_radius_nonlinear", "speed_radius")
+    parameter = Parameter("size", "1", typical=1.0, largest=3.0)
+    forms = [Form(name, "", (parameter,), lambda _: [], tries=1) for name in names]
+    priors = FormPriors.from_forms(forms, 0.5)
+    one, both, other, all_three = priors.priors([(0,), (0, 1), (0, 2), (0, 1, 2)])
+    np.testing.assert_allclose([both, all_three], [one - SCALE_CHOICE_COST, other - SCALE_CHOICE_COST])
+    assert both > other
