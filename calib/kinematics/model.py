@@ -196,20 +196,30 @@ class Model:
         """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known."""
         n_drive = len(values) - len(SENSOR)
         path = path or integrate_motion(self.motion(values))
-        pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.segments, float(values[-1]))
-        moved = (displacement(pose, by_parameter, first, other) for other in others)
-        seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
+        seen, through, by_sensor = self._sensed(values, path)
         by_gyro = np.zeros((len(seen), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
         jacobian = np.concatenate([through[:, :, :n_drive], by_gyro, by_sensor, through[:, :, n_drive:]], axis=2)
         scale = np.where(self.segments.gyro, values[n_drive], 1.0)
         jacobian[:, 2, np.arange(len(values)) != n_drive] *= scale[:, None]
-        seen[:, 2] *= scale
-        residuals = self.segments.measured - seen
-        unseen = ~self.segments.seen
-        residuals[unseen] = 0.0
-        jacobian[unseen] = 0.0
-        return Prediction(residuals, jacobian, path)
+        jacobian[~self.segments.seen] = 0.0
+        return Prediction(self._left(values, seen), jacobian, path)
+
+    def residuals(self, values: FloatArray, path: Path | None = None) -> FloatArray:
+        """Return the residuals of `predict` in a third of its time."""
+        known = path or self.motion(values)
+        known = replace(known, by_parameter=known.by_parameter[:0])
+        path = known if isinstance(known, Path) else integrate_motion(known)
+        return self._left(values, self._sensed(values, path)[0])
+
+    def _sensed(self, values: FloatArray, path: Path) -> Sensed:
+        pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.segments, float(values[-1]))
+        moved = (displacement(pose, by_parameter, first, other) for other in others)
+        return _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
+
+    def _left(self, values: FloatArray, seen: FloatArray) -> FloatArray:
+        seen[:, 2] *= np.where(self.segments.gyro, values[-len(SENSOR)], 1.0)
+        return np.where(self.segments.seen, self.segments.measured - seen, 0.0)
 
 
 def _at_times(
@@ -298,7 +308,7 @@ def replicates(whole: Model, way_m: FloatArray, load_width_N: float | None = Non
 
     With `load_width_N` in speed and, to so much, in load, too.
     """
-    told = whole.segments.measured - whole.predict(nominal_values(whole.drive)).residuals
+    told = whole.segments.measured - whole.residuals(nominal_values(whole.drive))
     steps, lapse_s = whole.recording.steps, np.maximum(np.diff(whole.recording.t_s, prepend=0.0), 1e-3)
     rolled = np.abs(steps.turned_rad).mean(axis=0)
     # over the way: pauses have no speed

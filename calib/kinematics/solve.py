@@ -362,18 +362,19 @@ def _advance(
 ) -> tuple[FloatArray, Prediction] | None:
     size = model.segments.seen.sum(axis=1)
 
-    def loss(values: FloatArray, prediction: Prediction) -> float:
-        squares = _weights(_whitened(whitener, prediction.residuals.T), size)[1]
+    def loss(values: FloatArray, residuals: FloatArray) -> float:
+        squares = _weights(_whitened(whitener, residuals.T), size)[1]
         return float(np.sum(0.5 * (DEGREES + size) * np.log1p(squares / DEGREES))) + nominal(values)[2]
 
     values, prediction = here
-    part, most = 1.0, loss(values, prediction) * (1.0 + 1e-12)
+    part, most = 1.0, loss(values, prediction.residuals) * (1.0 + 1e-12)
+    # the whole step is taken mostly, and needs its derivatives
+    there: Prediction | None = model.predict(values + step)
     while part == 1.0 or part >= least_part:
         tried = values + part * step
-        there = model.predict(tried)
-        if loss(tried, there) <= most:
-            return tried, there
-        part *= 0.4
+        if loss(tried, there.residuals if there else model.residuals(tried)) <= most:
+            return tried, there or model.predict(tried)
+        part, there = 0.4 * part, None
     return None
 
 
