@@ -352,8 +352,16 @@ def integrate_motion(motion: Motion) -> Path:
     by_parameter = np.empty_like(motion.by_parameter)
     for (d_forward, d_left, d_turn), (x, y, d_theta) in zip(motion.by_parameter, by_parameter, strict=True):
         np.cumsum(d_turn, out=d_theta)
-        np.cumsum(own_x * d_turn + cosine * d_forward - sine * d_left - chord_y * d_theta, out=x)
-        np.cumsum(own_y * d_turn + sine * d_forward + cosine * d_left + chord_x * d_theta, out=y)
+        step_x, step_y = own_x * d_turn, own_y * d_turn
+        # lengths and angles mostly act on one of the two, or none
+        if d_forward.any():
+            step_x += cosine * d_forward
+            step_y += sine * d_forward
+        if d_left.any():
+            step_x -= sine * d_left
+            step_y += cosine * d_left
+        np.cumsum(step_x - chord_y * d_theta, out=x)
+        np.cumsum(step_y + chord_x * d_theta, out=y)
     return Path(np.stack([np.cumsum(chord_x), np.cumsum(chord_y), theta]), by_parameter)
 
 

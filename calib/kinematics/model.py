@@ -1,6 +1,6 @@
 """Stretches of runs that are compared, and the sensor's predicted motion in each."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Final
 
 import numpy as np
@@ -187,6 +187,10 @@ class Model:
     drive: Drive
     recording: Recording
     segments: Segments
+    ends: "_Ends" = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "ends", _Ends.of(self.recording, self.segments))
 
     def motion(self, values: FloatArray) -> Motion:
         """Return the motion of the body in each step at `values`, shape (n_parameters,)."""
@@ -213,7 +217,7 @@ class Model:
         return self._left(values, self._sensed(values, path)[0])
 
     def _sensed(self, values: FloatArray, path: Path) -> Sensed:
-        pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.segments, float(values[-1]))
+        pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.ends, float(values[-1]))
         moved = (displacement(pose, by_parameter, first, other) for other in others)
         return _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
 
@@ -222,26 +226,43 @@ class Model:
         return np.where(self.segments.seen, self.segments.measured - seen, 0.0)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ends:
+    used: IntArray  #: samples at both ends and chords, shape (n_used,)
+    numbers: list[IntArray]  #: first, last, chords: each among those used, shape (n,)
+    #: shape (n_used,): first and last sample of the run; delay beside the common one; what parts its clock from others
+    low: IntArray
+    high: IntArray
+    added_s: FloatArray
+    shift_s: FloatArray
+    clock_s: FloatArray  #: rising over all runs, shape (n_samples,)
+
+    @staticmethod
+    def of(recording: Recording, segments: Segments) -> "_Ends":
+        ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
+        used, inverse = np.unique(ends, return_inverse=True)
+        run, t_s = recording.run[used], recording.t_s
+        added_s = recording.delay_added_s[run] + recording.clock_rate * t_s[used]
+        # samples are few steps away: a global search on time within runs takes shifted clocks. One that steps back
+        # stands still there, or the search fails in all other runs
+        shift = np.concatenate(([0.0], np.cumsum(np.maximum.reduceat(t_s, recording.offsets[:-1]) + 1.0)))[:-1]
+        clock = np.maximum.accumulate(t_s + shift[recording.run])
+        low, high = recording.offsets[run], recording.offsets[run + 1] - 1
+        return _Ends(used, list(inverse.reshape(len(ends), -1)), low, high, added_s, shift[run], clock)
+
+
 def _at_times(
-    path: Path, recording: Recording, segments: Segments, delay_s: float
+    path: Path, recording: Recording, ends: _Ends, delay_s: float
 ) -> tuple[FloatArray, FloatArray, list[IntArray]]:
     """Return poses `delay_s` before both ends and chords, their derivatives, and the samples' new numbers.
 
     What the reference stamps t was true at t - delay. Before a run's first count the vehicle moved as after it where a
     late reference saw it move; else it stood there.
     """
-    ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
-    used, inverse = np.unique(ends, return_inverse=True)
-    run = recording.run[used]
-    low, high = recording.offsets[run], recording.offsets[run + 1] - 1
-    t_s = recording.t_s
-    delay = delay_s + recording.delay_added_s[run] + recording.clock_rate * t_s[used]
+    used, low, high, t_s = ends.used, ends.low, ends.high, recording.t_s
+    delay = delay_s + ends.added_s
     wanted = np.clip(t_s[used] - delay, t_s[low], t_s[high])
-    # samples are few steps away: a global search on time within runs takes shifted clocks. One that steps back
-    # stands still there, or the search fails in all other runs
-    shift = np.concatenate(([0.0], np.cumsum(np.maximum.reduceat(t_s, recording.offsets[:-1]) + 1.0)))[:-1]
-    clock = np.maximum.accumulate(t_s + shift[recording.run])
-    at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
+    at = np.clip(np.searchsorted(ends.clock_s, wanted + ends.shift_s, side="right") - 1, low, np.maximum(high - 1, low))
     near = np.clip(at + np.arange(-1, 3)[:, None], low, high)
     weights = _between(t_s[near], wanted)
     parts = (path.pose[..., near], path.by_parameter[..., near])
@@ -252,7 +273,7 @@ def _at_times(
     moved = np.hypot(*seen[:2]) > ON_THE_MOVE * np.hypot(*velocity[:2])
     before_s = np.where(moved, np.minimum(t_s[used] - delay - wanted, 0.0), 0.0)
     by_parameter = np.concatenate([by_parameter + before_s * of_velocity, -velocity[None]])
-    return pose + before_s * velocity, by_parameter, list(inverse.reshape(len(ends), -1))
+    return pose + before_s * velocity, by_parameter, ends.numbers
 
 
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
