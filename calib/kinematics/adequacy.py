@@ -303,7 +303,7 @@ def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
     values = fitted.solution.values.copy()
     common = logged.residuals(values)
     values[fitted.parameters.names.index(STEERING_ZERO)] += fitted.zero_spread_rad
-    return np.asarray(logged.residuals(values) - common)
+    return logged.residuals(values) - common
 
 
 def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[str]:

@@ -215,7 +215,7 @@ def delay_losses(fitted: Fitted) -> FloatArray:
         return np.zeros((0, 1))
     delay, size, losses = np.eye(len(solution.values))[-1], model.segments.seen.sum(axis=1), []
     for offset in OFFSETS_S:
-        residuals = model.residuals(solution.values + offset * delay, solution.prediction.path)
+        residuals = model.predict(solution.values + offset * delay, solution.prediction.path).residuals
         loss = np.log1p(np.square(np.einsum("nij,nj->ni", solution.whitener, residuals)).sum(axis=1) / DEGREES)
         loss *= 0.5 * (DEGREES + size)
         losses.append(np.bincount(group[model.segments.run], loss, minlength=group.max() + 1))
@@ -352,10 +352,7 @@ def with_own_zeros(fitted: Fitted) -> Fitted:
 
 
 def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, deviation: FloatArray) -> Shared:
-    """Return the random effect of the recordings' zeros.
-
-    `solution`: at the deviations; `fitted`: with one zero; `spread`: sd of each recording's `deviation` from that, rad.
-    """
+    """`solution`: at the deviations; `fitted`: with one zero; `spread`: of the recordings' `deviation`, rad."""
     zero, scale = map(fitted.parameters.names.index, (STEERING_ZERO, STEERING_SCALE))
     # a deviation is added to the angle before its scale
     by_zero = solution.prediction.jacobian[:, :, zero] * solution.values[scale]
@@ -366,7 +363,7 @@ def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, 
 def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArray, FloatArray, float]:
     """Return parameters, recordings' deviations and their spread after one linear step.
 
-    `solution`: with its random effect; `spread`: standard deviation of the deviations now, rad.
+    `solution`: with its random effect; `spread`: as it is now, rad.
     """
     free, shared = fitted.parameters.free, solution.shared
     assert shared is not None

@@ -1,6 +1,6 @@
 """Stretches of runs that are compared, and the sensor's predicted motion in each."""
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -62,12 +62,12 @@ class Segments:
 
     def are_runs_of(self, recording: Recording) -> bool:
         """Return whether the stretches are whole runs."""
-        return bool(np.array_equal(self.first, recording.offsets[self.run]))
+        return np.array_equal(self.first, recording.offsets[self.run])
 
     def between(self, values: FloatArray) -> FloatArray:
         """Return sums over each stretch of steps, shape (..., n_samples) in, (..., n) out."""
         total = np.cumsum(values, axis=-1)
-        return np.asarray(total[..., self.last] - total[..., self.first])
+        return total[..., self.last] - total[..., self.first]
 
     @property
     def chords_alone(self) -> bool:
@@ -163,7 +163,7 @@ def _back(chord: ComplexArray) -> ComplexArray:
 
 def _nearest(travel: FloatArray, wanted: FloatArray) -> IntArray:
     after = np.clip(np.searchsorted(travel, wanted), 1, len(travel) - 1)
-    return np.asarray(after - (wanted - travel[after - 1] < travel[after] - wanted))
+    return after - (wanted - travel[after - 1] < travel[after] - wanted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,10 +187,6 @@ class Model:
     drive: Drive
     recording: Recording
     segments: Segments
-    ends: "_Ends" = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "ends", _Ends.of(self.recording, self.segments))
 
     def motion(self, values: FloatArray) -> Motion:
         """Return the motion of the body in each step at `values`, shape (n_parameters,)."""
@@ -198,71 +194,50 @@ class Model:
 
     def predict(self, values: FloatArray, path: Path | None = None) -> Prediction:
         """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known."""
-        n_drive = len(values) - len(SENSOR)
         path = path or integrate_motion(self.motion(values))
-        seen, through, by_sensor = self._sensed(values, path)
+        n_drive = len(path.by_parameter)
+        pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.segments, float(values[-1]))
+        moved = (displacement(pose, by_parameter, first, other) for other in others)
+        seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
         by_gyro = np.zeros((len(seen), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
         jacobian = np.concatenate([through[:, :, :n_drive], by_gyro, by_sensor, through[:, :, n_drive:]], axis=2)
-        scale = np.where(self.segments.gyro, values[n_drive], 1.0)
-        jacobian[:, 2, np.arange(len(values)) != n_drive] *= scale[:, None]
-        jacobian[~self.segments.seen] = 0.0
-        return Prediction(self._left(values, seen), jacobian, path)
+        scale = np.where(self.segments.gyro, values[-len(SENSOR)], 1.0)
+        jacobian[:, 2, np.arange(jacobian.shape[2]) != n_drive] *= scale[:, None]
+        seen[:, 2] *= scale
+        residuals = self.segments.measured - seen
+        unseen = ~self.segments.seen
+        residuals[unseen] = 0.0
+        jacobian[unseen] = 0.0
+        return Prediction(residuals, jacobian, path)
 
-    def residuals(self, values: FloatArray, path: Path | None = None) -> FloatArray:
-        """Return the residuals of `predict` in a third of its time."""
-        known = path or self.motion(values)
-        known = replace(known, by_parameter=known.by_parameter[:0])
-        path = known if isinstance(known, Path) else integrate_motion(known)
-        return self._left(values, self._sensed(values, path)[0])
-
-    def _sensed(self, values: FloatArray, path: Path) -> Sensed:
-        pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.ends, float(values[-1]))
-        moved = (displacement(pose, by_parameter, first, other) for other in others)
-        return _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
-
-    def _left(self, values: FloatArray, seen: FloatArray) -> FloatArray:
-        seen[:, 2] *= np.where(self.segments.gyro, values[-len(SENSOR)], 1.0)
-        return np.where(self.segments.seen, self.segments.measured - seen, 0.0)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Ends:
-    used: IntArray  #: samples at both ends and chords, shape (n_used,)
-    numbers: list[IntArray]  #: first, last, chords: each among those used, shape (n,)
-    #: shape (n_used,): first and last sample of the run; delay beside the common one; what parts its clock from others
-    low: IntArray
-    high: IntArray
-    added_s: FloatArray
-    shift_s: FloatArray
-    clock_s: FloatArray  #: rising over all runs, shape (n_samples,)
-
-    @staticmethod
-    def of(recording: Recording, segments: Segments) -> "_Ends":
-        ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
-        used, inverse = np.unique(ends, return_inverse=True)
-        run, t_s = recording.run[used], recording.t_s
-        added_s = recording.delay_added_s[run] + recording.clock_rate * t_s[used]
-        # samples are few steps away: a global search on time within runs takes shifted clocks. One that steps back
-        # stands still there, or the search fails in all other runs
-        shift = np.concatenate(([0.0], np.cumsum(np.maximum.reduceat(t_s, recording.offsets[:-1]) + 1.0)))[:-1]
-        clock = np.maximum.accumulate(t_s + shift[recording.run])
-        low, high = recording.offsets[run], recording.offsets[run + 1] - 1
-        return _Ends(used, list(inverse.reshape(len(ends), -1)), low, high, added_s, shift[run], clock)
+    def residuals(self, values: FloatArray) -> FloatArray:
+        """Return residuals alone."""
+        motion = self.motion(values)
+        path = integrate_motion(replace(motion, by_parameter=motion.by_parameter[:0]))
+        return self.predict(values, path).residuals
 
 
 def _at_times(
-    path: Path, recording: Recording, ends: _Ends, delay_s: float
+    path: Path, recording: Recording, segments: Segments, delay_s: float
 ) -> tuple[FloatArray, FloatArray, list[IntArray]]:
     """Return poses `delay_s` before both ends and chords, their derivatives, and the samples' new numbers.
 
     What the reference stamps t was true at t - delay. Before a run's first count the vehicle moved as after it where a
     late reference saw it move; else it stood there.
     """
-    used, low, high, t_s = ends.used, ends.low, ends.high, recording.t_s
-    delay = delay_s + ends.added_s
+    ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
+    used, inverse = np.unique(ends, return_inverse=True)
+    run = recording.run[used]
+    low, high = recording.offsets[run], recording.offsets[run + 1] - 1
+    t_s = recording.t_s
+    delay = delay_s + recording.delay_added_s[run] + recording.clock_rate * t_s[used]
     wanted = np.clip(t_s[used] - delay, t_s[low], t_s[high])
-    at = np.clip(np.searchsorted(ends.clock_s, wanted + ends.shift_s, side="right") - 1, low, np.maximum(high - 1, low))
+    # samples are few steps away: a global search on time within runs takes shifted clocks. One that steps back
+    # stands still there, or the search fails in all other runs
+    shift = np.concatenate(([0.0], np.cumsum(np.maximum.reduceat(t_s, recording.offsets[:-1]) + 1.0)))[:-1]
+    clock = np.maximum.accumulate(t_s + shift[recording.run])
+    at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
     near = np.clip(at + np.arange(-1, 3)[:, None], low, high)
     weights = _between(t_s[near], wanted)
     parts = (path.pose[..., near], path.by_parameter[..., near])
@@ -273,7 +248,7 @@ def _at_times(
     moved = np.hypot(*seen[:2]) > ON_THE_MOVE * np.hypot(*velocity[:2])
     before_s = np.where(moved, np.minimum(t_s[used] - delay - wanted, 0.0), 0.0)
     by_parameter = np.concatenate([by_parameter + before_s * of_velocity, -velocity[None]])
-    return pose + before_s * velocity, by_parameter, ends.numbers
+    return pose + before_s * velocity, by_parameter, list(inverse.reshape(len(ends), -1))
 
 
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
@@ -293,7 +268,7 @@ def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
 def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, high: IntArray) -> FloatArray:
     before, after = np.maximum(at - 2, low), np.minimum(at + 3, high)
     span = t_s[after] - t_s[before]
-    return np.asarray((pose[..., after] - pose[..., before]) / np.where(span > 0.0, span, np.inf))
+    return (pose[..., after] - pose[..., before]) / np.where(span > 0.0, span, np.inf)
 
 
 def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
