@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any
 # small matrices gain nothing from threads, and tests that run side by side lose by them; before numpy is imported
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# byte code of the package is kept, as that of an installed one is: else each process that a test starts compiles it
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # the search for garbage is a sixth of the suite's time at Python's own thresholds: arrays and results have no cycles
 gc.set_threshold(20_000, 20, 50)
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
     from calib.campaign.model import Campaign
     from calib.gap.decision.diagnosis import Diagnosis
+    from calib.kinematics.result import Geometry
     from tests.campaign.ingest.lab import Lab
 
 # the same examples every time, so that one commit has one outcome; HYPOTHESIS_PROFILE=explore looks further.
@@ -113,6 +116,34 @@ def diagnosed_sample(
 def diagnosed_once(monkeypatch: pytest.MonkeyPatch, diagnosing: Callable[..., Diagnosis]) -> None:
     """Let commands and functions that ask for the same diagnosis share it: how it is made is the tests' of `gap`."""
     monkeypatch.setattr("calib.gap.diagnose.diagnose_in_full", diagnosing)
+
+
+@pytest.fixture(scope="session")
+def estimating() -> Callable[..., Geometry]:
+    """`estimate_geometry` that makes each estimate once, or refuses it; nobody changes one."""
+    from calib.errors import CalibError
+    from calib.kinematics.estimate import estimate_geometry
+
+    made: dict[str, Geometry | CalibError] = {}
+
+    def estimated(campaign: Campaign, *, progress: object = None, **options: Any) -> Geometry:
+        key = repr((_digest(campaign), {name: value for name, value in options.items() if value is not None}))
+        if key not in made:
+            try:
+                made[key] = estimate_geometry(campaign, **options)
+            except CalibError as error:
+                made[key] = error
+        if isinstance(found := made[key], CalibError):
+            raise found.with_traceback(None)
+        return found
+
+    return estimated
+
+
+@pytest.fixture
+def estimated_once(monkeypatch: pytest.MonkeyPatch, estimating: Callable[..., Geometry]) -> None:
+    """Let commands that ask for the same geometry share it: how it is estimated is the tests' of `kinematics`."""
+    monkeypatch.setattr("calib.kinematics.estimate.estimate_geometry", estimating)
 
 
 @pytest.fixture(scope="session")

@@ -171,9 +171,9 @@ def judged(
         Blunders recognised; runs that noise cannot explain, which are named by themselves and take no part.
     """
     used, seen = _used(whole, outliers) & ~bad_windows(fitted, whole), whole.segments.seen
-    after = np.where(seen, whole.predict(fitted.solution.values).residuals, 0.0)
+    after = np.where(seen, whole.residuals(fitted.solution.values), 0.0)
     logged = replace(whole, recording=fitted.logged)
-    before = np.where(seen, logged.predict(fitted.parameters.nominal).residuals, 0.0)
+    before = np.where(seen, logged.residuals(fitted.parameters.nominal), 0.0)
     by_zero = _by_zero(fitted, logged)
     held_out = np.where(seen, _held_out(fitted, whole, after), 0.0)
     way_m, rotation_rad = travelled(whole, fitted.solution.values)
@@ -293,7 +293,7 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
             # by angles from their own zeros; held-out runs have the common one. The noise of four fifths is that of all
             seen = Model(model.drive, model.recording, rest)
             fit = solve(seen, fitted.parameters, solution.values, solution.scales, noise_rounds=1)
-            residuals[away] = logged.predict(fit.values).residuals[away]
+            residuals[away] = logged.residuals(fit.values)[away]
     return residuals
 
 
@@ -301,9 +301,9 @@ def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
     if not fitted.zero_spread_rad:
         return np.zeros((len(logged.segments), 3))
     values = fitted.solution.values.copy()
-    common = logged.predict(values).residuals
+    common = logged.residuals(values)
     values[fitted.parameters.names.index(STEERING_ZERO)] += fitted.zero_spread_rad
-    return np.asarray(logged.predict(values).residuals - common)
+    return logged.residuals(values) - common
 
 
 def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[str]:

@@ -337,7 +337,7 @@ def _sensor_paths(drive: Drive, recording: Recording, values: FloatArray) -> Flo
     run, n = recording.run, len(recording.t_s)
     seen, no_gyro = np.ones((n, 3), dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     segments = Segments(run, recording.offsets[run], np.arange(n), np.zeros((n, 3)), seen, run, 0 * run, no_gyro)
-    return -Model(drive, recording, segments).predict(values).residuals.T
+    return -Model(drive, recording, segments).residuals(values).T
 
 
 def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:

@@ -237,9 +237,9 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     model, solution = fitted.model, fitted.solution
     recording = departure.change(model.recording, departure.step)
     segments = remeasured(model.segments, model.recording.reference, recording.reference)
-    changed = Model(model.drive, recording, segments).predict(solution.values)
+    changed = Model(model.drive, recording, segments).residuals(solution.values)
     jacobian, residuals = whitened(solution, fitted.parameters.free)
-    shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed.residuals)
+    shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed)
     shift *= np.sqrt(solution.weights)[:, None]
     flat, rest = jacobian.reshape(-1, jacobian.shape[2]), residuals.ravel()
     both = np.column_stack([shift.ravel(), rest])

@@ -385,7 +385,7 @@ def _nominal(recording: "Recording", segments: "Segments", drive: "Drive") -> "t
 
 def _left(model: "Model", values: FloatArray) -> tuple[float, float]:
     seen = model.segments.seen.all(axis=1)
-    measured, rest = model.segments.measured[seen], model.predict(values).residuals[seen]
+    measured, rest = model.segments.measured[seen], model.residuals(values)[seen]
     if not len(measured):
         return 0.0, 0.0
     way, missed = (part[:, 0] + 1j * part[:, 1] for part in (measured, rest))

@@ -97,10 +97,12 @@ class Parameters:
 
         Each parameter is within its spread, and the mean radius within `NOMINAL_STD`.
         """
+        if not self.pulled:
+            return np.zeros((0, self.free.sum()))
         spread = self.prior_std[self.free]
         radii = np.array(["radius" in name for name in self.free_names])
         mean = np.where(radii, spread, 0.0) / max(NOMINAL_STD * float(self.nominal[self.free] @ radii), 1e-300)
-        return np.vstack([np.eye(len(spread)), mean])[: None if self.pulled else 0]
+        return np.vstack([np.eye(len(spread)), mean])
 
 
 def parameters_of(drive: "Drive", reference: Reference) -> tuple[Parameter, ...]:
@@ -352,8 +354,11 @@ def integrate_motion(motion: Motion) -> Path:
     by_parameter = np.empty_like(motion.by_parameter)
     for (d_forward, d_left, d_turn), (x, y, d_theta) in zip(motion.by_parameter, by_parameter, strict=True):
         np.cumsum(d_turn, out=d_theta)
-        np.cumsum(own_x * d_turn + cosine * d_forward - sine * d_left - chord_y * d_theta, out=x)
-        np.cumsum(own_y * d_turn + sine * d_forward + cosine * d_left + chord_x * d_theta, out=y)
+        step_x, step_y = own_x * d_turn + cosine * d_forward, own_y * d_turn + sine * d_forward
+        if d_left.any():
+            step_x, step_y = step_x - sine * d_left, step_y + cosine * d_left
+        np.cumsum(step_x - chord_y * d_theta, out=x)
+        np.cumsum(step_y + chord_x * d_theta, out=y)
     return Path(np.stack([np.cumsum(chord_x), np.cumsum(chord_y), theta]), by_parameter)
 
 

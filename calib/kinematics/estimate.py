@@ -254,7 +254,7 @@ def _refined(fit: _Fit, departure: Departure, size: float) -> float:
 
 
 def _mean_off_m(model: Model, fitted: Fitted) -> float:
-    residuals = model.predict(fitted.solution.values).residuals
+    residuals = model.residuals(fitted.solution.values)
     return float(np.mean(np.hypot(residuals[:, 0], residuals[:, 1])))
 
 
@@ -295,8 +295,7 @@ def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
 def _bends(fitted: Fitted) -> bool:
     segments = fitted.model.segments
     longest = (segments.level == 0) & segments.seen[:, 2]
-    rest = fitted.model.predict(fitted.solution.values).residuals[longest, 2:]
-    return rms(rest) > BENT_RAD
+    return rms(fitted.solution.prediction.residuals[longest, 2:]) > BENT_RAD
 
 
 def _with_own_delays(task: _Task, common: Fitted, losses: FloatArray) -> tuple[Fitted, tuple[Delay, ...]]:
@@ -344,6 +343,6 @@ def _transfer(
         fitted = fit_parameters(campaign, drive, rest, next(divisions(rest, whole.using)), sensor)
         model = Model(fitted.model.drive, tried, end_pose_segments(tried))
         vehicles = (fitted.parameters.nominal, fitted.solution.values)
-        before, after = (rms(model.predict(values).residuals[:, :2]) for values in vehicles)
+        before, after = (rms(model.residuals(values)[:, :2]) for values in vehicles)
         rows.append(Transfer(str(label), len(tried), before, after))
     return tuple(rows)

@@ -352,10 +352,7 @@ def with_own_zeros(fitted: Fitted) -> Fitted:
 
 
 def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, deviation: FloatArray) -> Shared:
-    """Return the random effect of the recordings' zeros.
-
-    `solution`: at the deviations; `fitted`: with one zero; `spread`: sd of each recording's `deviation` from that, rad.
-    """
+    """`solution`: at the deviations; `fitted`: with one zero; `spread`: of the recordings' `deviation`, rad."""
     zero, scale = map(fitted.parameters.names.index, (STEERING_ZERO, STEERING_SCALE))
     # a deviation is added to the angle before its scale
     by_zero = solution.prediction.jacobian[:, :, zero] * solution.values[scale]
@@ -366,7 +363,7 @@ def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, 
 def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArray, FloatArray, float]:
     """Return parameters, recordings' deviations and their spread after one linear step.
 
-    `solution`: with its random effect; `spread`: standard deviation of the deviations now, rad.
+    `solution`: with its random effect; `spread`: as it is now, rad.
     """
     free, shared = fitted.parameters.free, solution.shared
     assert shared is not None

@@ -62,12 +62,12 @@ class Segments:
 
     def are_runs_of(self, recording: Recording) -> bool:
         """Return whether the stretches are whole runs."""
-        return bool(np.array_equal(self.first, recording.offsets[self.run]))
+        return np.array_equal(self.first, recording.offsets[self.run])
 
     def between(self, values: FloatArray) -> FloatArray:
         """Return sums over each stretch of steps, shape (..., n_samples) in, (..., n) out."""
         total = np.cumsum(values, axis=-1)
-        return np.asarray(total[..., self.last] - total[..., self.first])
+        return total[..., self.last] - total[..., self.first]
 
     @property
     def chords_alone(self) -> bool:
@@ -163,7 +163,7 @@ def _back(chord: ComplexArray) -> ComplexArray:
 
 def _nearest(travel: FloatArray, wanted: FloatArray) -> IntArray:
     after = np.clip(np.searchsorted(travel, wanted), 1, len(travel) - 1)
-    return np.asarray(after - (wanted - travel[after - 1] < travel[after] - wanted))
+    return after - (wanted - travel[after - 1] < travel[after] - wanted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,22 +194,28 @@ class Model:
 
     def predict(self, values: FloatArray, path: Path | None = None) -> Prediction:
         """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known."""
-        n_drive = len(values) - len(SENSOR)
         path = path or integrate_motion(self.motion(values))
+        n_drive = len(path.by_parameter)
         pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.segments, float(values[-1]))
         moved = (displacement(pose, by_parameter, first, other) for other in others)
         seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
         by_gyro = np.zeros((len(seen), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
         jacobian = np.concatenate([through[:, :, :n_drive], by_gyro, by_sensor, through[:, :, n_drive:]], axis=2)
-        scale = np.where(self.segments.gyro, values[n_drive], 1.0)
-        jacobian[:, 2, np.arange(len(values)) != n_drive] *= scale[:, None]
+        scale = np.where(self.segments.gyro, values[-len(SENSOR)], 1.0)
+        jacobian[:, 2, np.arange(jacobian.shape[2]) != n_drive] *= scale[:, None]
         seen[:, 2] *= scale
         residuals = self.segments.measured - seen
         unseen = ~self.segments.seen
         residuals[unseen] = 0.0
         jacobian[unseen] = 0.0
         return Prediction(residuals, jacobian, path)
+
+    def residuals(self, values: FloatArray) -> FloatArray:
+        """Return residuals alone."""
+        motion = self.motion(values)
+        path = integrate_motion(replace(motion, by_parameter=motion.by_parameter[:0]))
+        return self.predict(values, path).residuals
 
 
 def _at_times(
@@ -262,7 +268,7 @@ def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
 def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, high: IntArray) -> FloatArray:
     before, after = np.maximum(at - 2, low), np.minimum(at + 3, high)
     span = t_s[after] - t_s[before]
-    return np.asarray((pose[..., after] - pose[..., before]) / np.where(span > 0.0, span, np.inf))
+    return (pose[..., after] - pose[..., before]) / np.where(span > 0.0, span, np.inf)
 
 
 def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -298,7 +304,7 @@ def replicates(whole: Model, way_m: FloatArray, load_width_N: float | None = Non
 
     With `load_width_N` in speed and, to so much, in load, too.
     """
-    told = whole.segments.measured - whole.predict(nominal_values(whole.drive)).residuals
+    told = whole.segments.measured - whole.residuals(nominal_values(whole.drive))
     steps, lapse_s = whole.recording.steps, np.maximum(np.diff(whole.recording.t_s, prepend=0.0), 1e-3)
     rolled = np.abs(steps.turned_rad).mean(axis=0)
     # over the way: pauses have no speed

@@ -370,4 +370,4 @@ def _last_pose(reference: FloatArray) -> FloatArray:
     if len(good) < 2 or good[0] != 0 or good[-1] != reference.shape[1] - 1:
         return np.full(3, np.nan)
     moved = moved_between(np.where(seen[:, None], reference, 0.0), good[:1], good[-1:])[0]
-    return np.asarray(np.where(seen, moved, np.nan))
+    return np.where(seen, moved, np.nan)

@@ -43,7 +43,7 @@ def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) ->
     rotate[:, 0, 1], rotate[:, 1, 0] = np.sin(turn), -np.sin(turn)
     rotate[:, 2, 2] = 1.0
     kernel[2:] = rotate @ _walks(path, body, segments) @ rotate.transpose(0, 2, 1)
-    return np.asarray(kernel * (segments.seen[:, :, None] & segments.seen[:, None, :]))
+    return kernel * (segments.seen[:, :, None] & segments.seen[:, None, :])
 
 
 def _walks(path: Path, body: FloatArray, segments: Segments) -> FloatArray:
@@ -362,17 +362,16 @@ def _advance(
 ) -> tuple[FloatArray, Prediction] | None:
     size = model.segments.seen.sum(axis=1)
 
-    def loss(values: FloatArray, prediction: Prediction) -> float:
-        squares = _weights(_whitened(whitener, prediction.residuals.T), size)[1]
+    def loss(values: FloatArray, residuals: FloatArray) -> float:
+        squares = _weights(_whitened(whitener, residuals.T), size)[1]
         return float(np.sum(0.5 * (DEGREES + size) * np.log1p(squares / DEGREES))) + nominal(values)[2]
 
-    values, prediction = here
-    part, most = 1.0, loss(values, prediction) * (1.0 + 1e-12)
+    part, most = 1.0, loss(here[0], here[1].residuals) * (1.0 + 1e-12)
     while part == 1.0 or part >= least_part:
-        tried = values + part * step
-        there = model.predict(tried)
-        if loss(tried, there) <= most:
-            return tried, there
+        tried = here[0] + part * step
+        there = model.predict(tried) if part == 1.0 else None
+        if loss(tried, there.residuals if there else model.residuals(tried)) <= most:
+            return tried, there or model.predict(tried)
         part *= 0.4
     return None
 

@@ -151,13 +151,13 @@ class Uncertainty:
     @property
     def std(self) -> FloatArray:
         """Standard deviations, shape (n_free,)."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
+        return np.sqrt(np.diag(self.covariance))
 
     @property
     def free(self) -> FloatArray:
         """Degrees of freedom of the intervals, (n_free,): nominal values add no doubt about their own spread."""
         variance = np.diag(self.covariance)
-        return np.asarray(self.dof * np.square(variance / np.maximum(variance - self.known, 1e-9 * variance)))
+        return self.dof * np.square(variance / np.maximum(variance - self.known, 1e-9 * variance))
 
 
 def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -184,7 +184,7 @@ def _decorrelated(columns: FloatArray, shared: Shared) -> FloatArray:
     factor = (1.0 / np.sqrt(1.0 + shared.size) - 1.0) / np.maximum(shared.size, 1e-300)
     sums = np.zeros((len(shared.amount), columns.shape[2]))
     np.add.at(sums, shared.group, np.einsum("ni,nik->nk", shared.change, columns))
-    return np.asarray(columns + shared.change[:, :, None] * (factor[:, None] * sums)[shared.group][:, None, :])
+    return columns + shared.change[:, :, None] * (factor[:, None] * sums)[shared.group][:, None, :]
 
 
 def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatArray:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,7 @@ def of_rows(made: Campaign, rows: int = ROWS) -> Campaign:
     return replace(made, logs=Logs(offsets=offsets, columns=joined))
 
 
+@cache
 def campaign_of(n_runs: int) -> Campaign:
     """A crossed plan in which wheels follow their load, front wheel and steering logged."""
     rng = np.random.default_rng(5)

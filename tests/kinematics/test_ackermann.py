@@ -111,7 +111,7 @@ SPOILT = {
 }
 
 
-@pytest.mark.usefixtures("diagnosed_once")
+@pytest.mark.usefixtures("diagnosed_once", "estimated_once")
 @pytest.mark.parametrize("what", SPOILT)
 def test_spoilt_logs_end_in_words_never_in_a_result(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], what: str

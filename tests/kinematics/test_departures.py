@@ -184,7 +184,7 @@ def test_slip_that_grows_with_the_yaw_rate_is_doubtful(slip_s_per_rad: float) ->
 
 def test_counters_that_wrap_at_any_number_are_named() -> None:
     """At 30,000 counts; the estimate is that of the counts unwrapped."""
-    made = campaigns.campaign(campaigns.mixed(2), Truth(), np.random.default_rng(1), samples=2000)
+    made = campaigns.campaign(campaigns.mixed(2), Truth(), np.random.default_rng(1), samples=800)
     columns = {name: part % 30000 if name.startswith("counts") else part for name, part in made.logs.columns.items()}
     found = estimate_geometry(replace(made, logs=replace(made.logs, columns=columns)))
     assert [fault.code for fault in found.faults] == ["counts_wrap"]

@@ -275,11 +275,12 @@ def test_an_interval_holds_what_an_open_parameter_leaves() -> None:
     """Turns on the spot tell the track over the mean radius: the track is no better known than the radius is."""
     truth = Truth(radius_left_m=0.0506, radius_right_m=0.0506, track_m=0.405)
     made = campaign(
-        [("left", [(1e-6, 9.0)]), ("right", [(1e-6, -9.0)])] * 3,
+        [("left", [(1e-6, 9.0)]), ("right", [(1e-6, -9.0)])] * 2,
         truth,
         np.random.default_rng(11),
         along=True,
-        samples=200,
+        # the mean radius is as open with any number of them
+        samples=100,
     )
     found = estimate_geometry(made, using="windows")
     track = found["track_m"]

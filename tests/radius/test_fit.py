@@ -252,11 +252,12 @@ def test_two_campaigns_of_one_wheel_disagree_in_one_comparison_of_twenty() -> No
     for _ in range(300):
         radius = 0.1 - 1.2e-6 * load + rng.normal(0, 5e-6, 4)[session] + rng.normal(0, 1.9e-5, 48)
         fits.append(fit_wheel("left", load, radius, session, reference_load_N=300.0))
+    # two comparisons at a time, as of a left and a right wheel: radius and slope of each
     compared = [
-        compare_laws(one, one, RadiusLaw(other.law, other.law)).differences[:2]
-        for one, other in zip(fits[::2], fits[1::2], strict=True)
+        compare_laws(one, two, RadiusLaw(of_one.law, of_two.law)).differences
+        for one, of_one, two, of_two in zip(*(fits[start::4] for start in range(4)), strict=True)
     ]
-    outside = np.mean([[not part.inside for part in pair] for pair in compared], axis=0)
+    outside = np.mean(np.reshape([[not part.inside for part in four] for four in compared], (-1, 2)), axis=0)
     # standard error of 150 comparisons 1.8 %; three of them. With the fit's own interval 13 and 17 %
     np.testing.assert_allclose(outside, 0.05, atol=0.054)
 

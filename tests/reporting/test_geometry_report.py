@@ -113,7 +113,7 @@ def test_runs_without_a_law_give_a_report_of_the_geometry(
     assert report(folder, tmp_path / "same.pdf", date="2026-01-01").read_bytes() == pdf.read_bytes()
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("undrawn", "estimated_once")
 def test_a_doubtful_geometry_has_no_coefficients_without_a_reason(
     along: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
