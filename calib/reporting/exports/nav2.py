@@ -201,7 +201,7 @@ def stated(spread: Spread, residuals: FloatArray, raised: float = 1.0) -> tuple[
     def most(at: int) -> float:
         others = np.arange(len(on)) != at
         allowed = bisect(steps, limit, key=lambda size: _fit(spread.free(others, size), residuals)[0])
-        return min(float(raised * steps[allowed - 1]), DEFAULT_ALPHA)
+        return float(steps[allowed - 1])
 
     sizes = np.empty(len(on))
     sizes[on] = raised * sizes_of(spread.free(on), residuals)
