@@ -107,8 +107,7 @@ def load_points(load_left_N: ArrayLike, load_right_N: ArrayLike) -> dict[str, tu
         return {}
     near_N, groups = max(1.0, SAME_LOAD * pairs.min()), np.round(pairs)
     for load, group in zip(pairs.T, groups.T, strict=True):
-        ordered = np.sort(load)
-        stretches = np.split(ordered, np.flatnonzero(np.diff(ordered) > near_N) + 1)
+        stretches = np.split(np.sort(load), np.flatnonzero(np.diff(np.sort(load)) > near_N) + 1)
         if max(map(np.ptp, stretches)) <= LOAD_SCATTER * near_N:
             group[:] = np.searchsorted([stretch[0] for stretch in stretches], load, side="right")
     keys, point = np.unique(groups, axis=0, return_inverse=True)

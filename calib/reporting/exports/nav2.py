@@ -34,11 +34,9 @@ POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
 ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
 #: of nav2_amcl
 DEFAULT_ALPHA: Final = 0.2
-#: no bound of a size is sought below: a micrometre in a kilometre
-LEAST_SIZE: Final = 1e-15
-#: steps of the range of a bound: each a third of a per cent
-BOUND_STEPS: Final = 10_000
-#: rise of the misfit that is more than chance: half of the 90 % quantile of chi^2, for a size that cannot be negative
+#: bounds of a size that are tried, a third of a per cent apart: from a micrometre in a kilometre
+BOUNDS: Final = np.geomspace(1e-15, DEFAULT_ALPHA, 10_000)
+#: rise of the misfit beyond chance: half of the 90 % quantile of chi^2, for a size that cannot be negative
 BEYOND_CHANCE: Final = 1.353
 #: parts in which runs are held out
 FOLDS: Final = 10
@@ -188,25 +186,22 @@ def _fit(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None)
 def stated(spread: Spread, residuals: FloatArray, raised: float = 1.0) -> tuple[dict[str, float], tuple[str, ...]]:
     """Return the size of each component, times `raised`, and the names of those that the residuals do not determine.
 
-    Without these the fit is worse by no more than chance, those that the runs drive least first: what two explain alike
-    goes to the one that the runs drive. They have the most that the residuals allow with any sizes of the others.
+    Without these the fit is worse by no more than chance: of two that explain alike, the one that the runs drive less.
+    They have the most that the residuals allow with any sizes of the others.
     """
     limit = _fit(spread, residuals)[0] + BEYOND_CHANCE
     on = np.ones(len(spread.names), dtype=np.bool_)
     for at in np.argsort(np.einsum("cuii->c", spread.components)):
         on[at] = False
         on[at] = _fit(spread.free(on), residuals)[0] > limit
-    steps = np.geomspace(LEAST_SIZE, DEFAULT_ALPHA, BOUND_STEPS)
 
-    def most(at: int) -> float:
-        others = np.arange(len(on)) != at
-        allowed = bisect(steps, limit, key=lambda size: _fit(spread.free(others, size), residuals)[0])
-        return float(steps[allowed - 1])
+    def most(name: str) -> float:
+        others = np.array(spread.names) != name
+        return float(BOUNDS[bisect(BOUNDS, limit, key=lambda size: _fit(spread.free(others, size), residuals)[0]) - 1])
 
-    sizes = np.empty(len(on))
-    sizes[on] = raised * sizes_of(spread.free(on), residuals)
-    sizes[~on] = list(map(most, np.flatnonzero(~on).tolist()))
-    return dict(zip(spread.names, map(float, sizes), strict=True)), tuple(compress(spread.names, ~on))
+    free, unknown = spread.free(on), tuple(compress(spread.names, ~on))
+    found = zip(free.names, (raised * sizes_of(free, residuals)).tolist(), strict=True)
+    return dict.fromkeys(spread.names, 0.0) | dict(found) | {name: most(name) for name in unknown}, unknown
 
 
 def ratios(variance: FloatArray, residuals: FloatArray) -> FloatArray:
