@@ -91,13 +91,13 @@ def export(
         head |= {name: getattr(coefficients.file, name) for name in ("checksum", "outside", "simulated")}
     notes += [text for artifact in artifacts for text in artifact.notes]
     files = _written(artifacts, output)
+    terminal.emit_json({**head, "files": files, "notes": notes})
     # an error is the only line where nothing was written
     for text in notes:
         terminal.note(text)
     if output is not None:
         # where the files went to standard output, nothing is added to them
         terminal.then(f"export {to}", c=source, file=files[0]["path"])
-    terminal.emit_json({**head, "files": files, "notes": notes})
 
 
 def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:

@@ -23,6 +23,7 @@ from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportO
 from calib.coefficients.sections import Quantity, VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
+from calib.radius.regression import SAME_LOAD
 from calib.radius.result import Fit, is_result, read_result
 from calib.types import GRAVITY_MPS2, FloatArray
 from calib.vehicle import Vehicle
@@ -41,6 +42,8 @@ MIN_LOAD_MARGIN_N: Final = 1.0
 MAX_STEP_M: Final = 0.5
 MAX_GAP_S: Final = 1.0
 LOAD_TABLE_LINES: Final = 64
+#: a load weighed a hundred times scatters over five standard deviations, each less than what is one load
+LOAD_SCATTER: Final = 4.0
 #: standard deviation of the relative slope where no loads were driven: 1 % per kN
 SLOPE_STD_PER_N: Final = 1e-5
 #: relative standard deviation of a length that was not measured
@@ -93,17 +96,25 @@ def from_fit(
 
 
 def load_points(load_left_N: ArrayLike, load_right_N: ArrayLike) -> dict[str, tuple[float, float]]:
-    """Return the load points of runs, equal to a newton: name -> mean wheel loads left and right in N.
+    """Return the load points of runs: name -> mean wheel loads left and right in N.
 
-    Empty beyond `LOAD_TABLE_LINES`: no table is meant.
+    Loads of a wheel that follow each other within `SAME_LOAD` of the lowest are one, weighed several times; where they
+    go on so beyond `LOAD_SCATTER` times that, those equal to a newton. Empty beyond `LOAD_TABLE_LINES`: none is meant.
     """
     pairs = np.column_stack([load_left_N, load_right_N])
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
-    keys, group = np.unique(np.round(pairs), axis=0, return_inverse=True)
+    if not len(pairs):
+        return {}
+    near_N, groups = max(1.0, SAME_LOAD * pairs.min()), np.round(pairs)
+    for load, group in zip(pairs.T, groups.T, strict=True):
+        stretches = np.split(np.sort(load), np.flatnonzero(np.diff(np.sort(load)) > near_N) + 1)
+        if max(map(np.ptp, stretches)) <= LOAD_SCATTER * near_N:
+            group[:] = np.searchsorted([stretch[0] for stretch in stretches], load, side="right")
+    keys, point = np.unique(groups, axis=0, return_inverse=True)
     if len(keys) > LOAD_TABLE_LINES:
         return {}
-    means = (pairs[group.ravel() == point].mean(axis=0).tolist() for point in range(len(keys)))
-    return {f"L{left:.0f} R{right:.0f}": tuple(mean) for (left, right), mean in zip(keys, means, strict=True)}
+    means = [pairs[point.ravel() == at].mean(axis=0).tolist() for at in range(len(keys))]
+    return {f"L{left:.0f} R{right:.0f}": (left, right) for left, right in means}
 
 
 @dataclass(frozen=True, slots=True)

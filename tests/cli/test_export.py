@@ -116,6 +116,17 @@ def test_bad_arguments_end_in_one_line_and_status_2(
     assert captured.out == "" and len(captured.err.splitlines()) == 1
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_json_that_cannot_be_written_ends_in_one_line(
+    coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is assumed is no second line beside the error."""
+    assert run(["export", str(coefficients), "--to", "json", "--json", "/dev/full"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    assert run(["export", str(coefficients), "--to", "json", "--json", str(tmp_path / "y.json")]) == 0
+    assert "assumed, not measured" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("content", [None, "", "{}", '{"format": "calib-coefficients/1"}', '{"format": "calib-fit/1"}'])
 def test_a_source_that_is_none_ends_in_one_line_and_status_2(
     tmp_path: Path, content: str | None, capsys: pytest.CaptureFixture[str]

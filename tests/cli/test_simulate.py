@@ -140,6 +140,27 @@ def test_trajectories_are_written_and_followed_again(tmp_path: Path, capsys: pyt
 
 
 @pytest.mark.usefixtures("drawn_once")
+def test_the_trajectories_of_a_journey_are_the_route_and_where_the_vehicle_really_went(
+    coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Where a file ends is what the JSON says of it: the route's end and the error beside it."""
+    common = ["simulate", "journey", "straight15", "--law", str(coefficients), "--draws", "100"]
+    assert run([*common, "--load", "784,503", "--tum", str(tmp_path), "--json", "-"]) == 0
+    path = document(capsys)["law"]["path"]
+    names = ("route1_route.tum", "route1_without.tum", "route1_corrected.tum")
+    assert sorted(file.name for file in tmp_path.iterdir()) == sorted(names)
+    route, *real = (read_tum(tmp_path / name)[1][-1] for name in names)
+    # rel, abs: every digit is written
+    assert (float(route.x_m), float(route.y_m)) == pytest.approx((15.0, 0.0), abs=1e-9)
+    for pose, key in zip(real, ("without", "corrected"), strict=True):
+        off = (float(pose.x_m - route.x_m), float(pose.y_m - route.y_m), float(pose.theta_rad - route.theta_rad))
+        stated = (path[key][f"error_{name}"] for name in ("global_x_m", "global_y_m", "heading_rad"))
+        assert off == pytest.approx(tuple(stated), abs=1e-9)
+    # the radii of the sample differ by a third of a per cent at these loads: decimetres after 15 m
+    assert abs(float(real[0].y_m)) > 0.1
+
+
+@pytest.mark.usefixtures("drawn_once")
 def test_replay_shows_what_the_correction_is_worth(
     campaign: Path, coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

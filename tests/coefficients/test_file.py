@@ -217,6 +217,26 @@ def test_load_points_are_the_means_of_runs_that_agree_to_a_newton() -> None:
     assert load_points(many, many) == {}
 
 
+def test_a_payload_weighed_many_times_is_one_load_point() -> None:
+    """Five payloads weighed twelve times with 1.5 N scatter are five points, each the mean of its weighings."""
+    rng = np.random.default_rng(3)
+    true = np.repeat([300.0, 450.0, 600.0, 750.0, 900.0], 12)
+    left, right = (true + rng.normal(0.0, 1.5, len(true)) for _ in range(2))
+    points = load_points(left, right)
+    assert len(points) == 5
+    expected = [(left[true == load].mean(), right[true == load].mean()) for load in np.unique(true)]
+    # atol: rounding of a mean of twelve
+    np.testing.assert_allclose(list(points.values()), expected, rtol=0, atol=1e-9)
+
+
+def test_steps_of_payload_finer_than_a_scale_remain_steps() -> None:
+    """Loads 4 N apart over 60 N are no scatter of one load; on a vehicle a tenth as heavy, 2 N are a step."""
+    steps = np.repeat(np.arange(300.0, 360.0, 4.0), 3)
+    assert len(load_points(steps, steps)) == 15
+    assert len(load_points([30.0, 32.0], [30.0, 32.0])) == 2
+    assert len(load_points([300.0, 302.0], [300.0, 302.0])) == 1
+
+
 def test_what_a_file_lacks_or_has_wrong_is_said_in_plain_words() -> None:
     with pytest.raises(ValidationError) as lacking:
         EffectSection.model_validate({})

@@ -256,6 +256,27 @@ def test_a_model_that_cannot_be_patched_is_refused(
         _export(coefficients, "urdf", model, "left_joint", right)
 
 
+@pytest.mark.parametrize("to", ["mjcf", "urdf", "sdf"])
+def test_a_model_states_the_load_at_which_its_radius_holds(coefficients: CoefficientFile, to: str) -> None:
+    """A load that was not measured is named as such, and nothing says that the radius is that under it."""
+    names = {
+        "mjcf": (EXAMPLE, "left", "right"),
+        "urdf": (MODELS / "differential.urdf", "left_joint", "wheel_r"),
+        "sdf": (MODELS / "tricycle.sdf", "left_hinge", "right"),
+    }
+    model, left, right = names[to]
+    file, law = coefficients.changed(outside="clamp"), coefficients.law
+    far = ExportOptions(loads=(LoadPair(9000.0, 9000.0),), model=model, left=left, right=right)
+    (artifact,) = export(file, to, options=far)
+    text = artifact.data.decode()
+    assert f"wheels at {law.left.load_max_N:g} N left, {law.right.load_max_N:g} N right" in text
+    assert "CLAMPED from 9000 N left, 9000 N right" in text
+    assert not any("at 9000 N" in note for note in artifact.notes)
+    near = ExportOptions(loads=(LoadPair(500.0, 700.0),), model=model, left=left, right=right)
+    inside = export(file, to, options=near)[0].data.decode()
+    assert "wheels at 500 N left, 700 N right" in inside and "CLAMPED" not in inside
+
+
 def test_names_and_loads_are_checked(file: CoefficientFile) -> None:
     model = MODELS / "differential.urdf"
     with pytest.raises(BadInputError, match=r"--left: found 'wheel_left'; expected a wheel .*left_joint"):

@@ -106,6 +106,12 @@ def test_the_table_holds_radius_and_its_bands(file: CoefficientFile) -> None:
     assert 0 < seen < 41
     clamped = list(csv.DictReader(io.StringIO(export(file.changed(outside="clamp"), "csv")[0].data.decode())))
     assert all(row["radius_right_m"] for row in clamped)
+    # each radius is that of the law at the load stated for it, which is the row's own where that was measured
+    for row in clamped:
+        at = float(row["clamped_load_right_N"])
+        assert at == min(max(float(row["load_right_N"]), 212.551), 1050.0)
+        assert float(row["radius_right_m"]) == pytest.approx(float(file.law.right.radius_m(at)), rel=TEN_DIGITS)
+    assert not any("clamped" in name for name in rows[0])
 
 
 @pytest.mark.parametrize("session_um", [0.0, 10.0])

@@ -30,7 +30,7 @@ from calib.coefficients.sections import EffectSection, WheelSection
 from calib.documents import csv_text
 from calib.errors import BadInputError, RefusedError
 from calib.radius.law import JOINT, WheelLaw
-from calib.types import WAY_PER_RAD_M, FloatArray
+from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray
 
 INT32_MAX: Final = 2**31 - 1
 #: bound of intermediates of the integer form: half of int64_t, so that rounding cannot overflow it
@@ -195,8 +195,13 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
         pairs = [(float(load), float(load)) for load in np.unique([low, *between, high])]
     columns = dict(zip(sides, zip(*pairs, strict=True), strict=True))
     cells = {f"load_{side}_N": list(map(repr, loads)) for side, loads in columns.items()}
+    clamp = file.outside == "clamp"
     for side, law in sides.items():
-        cells |= _columns_of(law, np.array(columns[side]), side, clamp=file.outside == "clamp")
+        loads = np.array(columns[side])
+        used = np.clip(loads, law.load_min_N, law.load_max_N)
+        cells |= _columns_of(law, used, side, (used == loads) | clamp)
+        if clamp:
+            cells[f"clamped_load_{side}_N"] = list(map(repr, used.tolist()))
     empty = [row for row in range(len(pairs)) if all(not cells[TABLE_COLUMNS[0].format(side)][row] for side in sides)]
     if empty:
         left, right = pairs[empty[0]]
@@ -215,11 +220,9 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
     return (Artifact("radius_table.csv", text.encode("utf-8", "backslashreplace")),)
 
 
-def _columns_of(law: WheelLaw, loads: FloatArray, side: str, *, clamp: bool) -> dict[str, list[str]]:
-    used = np.clip(loads, law.load_min_N, law.load_max_N)
+def _columns_of(law: WheelLaw, used: FloatArray, side: str, shown: BoolArray) -> dict[str, list[str]]:
     bands = (law.half_width_m(used, single_run=single) for single in (False, True))
     numbers = (law.radius_m(used), law.mean_std_m(used), *bands)
-    shown = (used == loads) | clamp
     return {
         name.format(side): [
             f"{float(x):.{digits}g}" if keep and np.isfinite(x) else "" for x, keep in zip(column, shown, strict=True)

@@ -322,8 +322,10 @@ def patched(
         raise BadInputError("--load: found several loads; expected one, a model has one radius a wheel; give one")
     model = ModelFile(options.model, root_tag)
     reference = LoadPair(file.wheels.left.reference_load.value, file.wheels.right.reference_load.value)
-    pair = options.loads[0] if options.loads else reference
-    new = NewWheels(*radii_m(file, pair), file.vehicle.track.value)
+    asked = options.loads[0] if options.loads else reference
+    new = NewWheels(*radii_m(file, asked), file.vehicle.track.value)
+    pair = LoadPair(*formats.within_N(file, asked))
+    clamped = (pair.left_N, pair.right_N) != (asked.left_N, asked.right_N)
     left, right = wheel(model, options.left, "--left"), wheel(model, options.right, "--right")
     notes = [*set_wheels(left, right, new), *_further_wheels(model, (left, right), wheel)]
     for name, node in () if plugins is None else plugins(model):
@@ -335,6 +337,7 @@ def patched(
     notes += _beyond(file, pair)
     comment = (
         f"calib: wheels at {pair.left_N:g} N left, {pair.right_N:g} N right",
+        *([f"CLAMPED from {asked.left_N:g} N left, {asked.right_N:g} N right"] if clamped else []),
         f"coefficient file {file.checksum[: formats.CHECKSUM_DIGITS]}",
         f"campaign {ascii_line(file.name)}",
         *(["SIMULATED DATA"] if file.simulated else []),

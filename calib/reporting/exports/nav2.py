@@ -5,8 +5,10 @@ Robotics, 2005, section 5.4; docs/exports.md), as in a random walk and in errors
 """
 
 import math
+from bisect import bisect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Final
 
@@ -32,8 +34,10 @@ POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
 ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
 #: of nav2_amcl
 DEFAULT_ALPHA: Final = 0.2
-#: least share of a variance that a component of usual size adds to show
-LEAST_SHARE: Final = 0.1
+#: bounds of a size that are tried, a third of a per cent apart: from a micrometre in a kilometre
+BOUNDS: Final = np.geomspace(1e-15, DEFAULT_ALPHA, 10_000)
+#: rise of the misfit beyond chance: half of the 90 % quantile of chi^2, for a size that cannot be negative
+BEYOND_CHANCE: Final = 1.353
 #: parts in which runs are held out
 FOLDS: Final = 10
 #: of the interval of a ratio
@@ -51,6 +55,10 @@ class Spread:
     def of(self, units: BoolArray) -> "Spread":
         """Return the same of some observations (n_obs,)."""
         return Spread(self.names, self.components[:, units], self.reference[units])
+
+    def free(self, on: BoolArray, held: float = 0.0) -> "Spread":
+        """Return the components that are `on`; the reference has the others at the size `held`."""
+        return Spread(tuple(compress(self.names, on)), self.components[on], self.covariance(np.where(on, 0.0, held)))
 
     def covariance(self, sizes: FloatArray) -> FloatArray:
         """Return the covariance of each end pose (n_obs, 3, 3) for sizes (n_components,)."""
@@ -149,13 +157,17 @@ def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = N
 
     By the likelihood of along, lateral and heading, each by itself. `begin`: sizes near the solution.
     """
+    return _fit(spread, residuals, begin)[1]
+
+
+def _fit(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None) -> tuple[float, FloatArray]:
     from scipy.optimize import minimize
 
-    components = np.einsum("cuii->cui", spread.components).reshape(len(spread.names), -1)
+    components = np.einsum("cuii->cui", spread.components).reshape(len(spread.names), residuals.size)
     reference = np.einsum("uii->ui", spread.reference).ravel()
     square = residuals.ravel() ** 2
     # each component as large as the residuals: one step of the search fits all
-    relative = components.reshape(len(components), -1, 3) / np.mean(residuals**2, axis=0)
+    relative = components.reshape(len(components), *residuals.shape) / np.mean(residuals**2, axis=0)
     unit = 1.0 / np.maximum(np.mean(relative, axis=(1, 2)), 1e-30)
     scaled = unit[:, None] * components
 
@@ -164,17 +176,32 @@ def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = N
         value = 0.5 * float(np.sum(np.log(variance) + square / variance))
         return value, 0.5 * scaled @ ((1.0 - square / variance) / variance)
 
+    if not len(unit):
+        return misfit(unit)[0], unit
     start = np.full(len(unit), 1.0 / len(unit)) if begin is None else begin / unit
     found = minimize(misfit, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(unit))
-    return np.asarray(found.x * unit)
+    return float(found.fun), np.asarray(found.x * unit)
 
 
-def undetermined(spread: Spread, sizes: FloatArray) -> tuple[str, ...]:
-    """Return the components that hardly show in these runs at their usual size."""
-    total = np.einsum("uii->ui", spread.covariance(sizes))
-    shares = np.einsum("cuii->cui", DEFAULT_ALPHA * spread.components) / total
-    largest = shares.max(axis=(1, 2), initial=0.0)
-    return tuple(name for name, share in zip(spread.names, largest, strict=True) if share < LEAST_SHARE)
+def stated(spread: Spread, residuals: FloatArray, raised: float = 1.0) -> tuple[dict[str, float], tuple[str, ...]]:
+    """Return the size of each component, times `raised`, and the names of those that the residuals do not determine.
+
+    Without these the fit is worse by no more than chance: of two that explain alike, the one that the runs drive less.
+    They have the most that the residuals allow with any sizes of the others.
+    """
+    limit = _fit(spread, residuals)[0] + BEYOND_CHANCE
+    on = np.ones(len(spread.names), dtype=np.bool_)
+    for at in np.argsort(np.einsum("cuii->c", spread.components)):
+        on[at] = False
+        on[at] = _fit(spread.free(on), residuals)[0] > limit
+
+    def most(name: str) -> float:
+        others = np.array(spread.names) != name
+        return float(BOUNDS[bisect(BOUNDS, limit, key=lambda size: _fit(spread.free(others, size), residuals)[0]) - 1])
+
+    free, unknown = spread.free(on), tuple(compress(spread.names, ~on))
+    found = zip(free.names, (raised * sizes_of(free, residuals)).tolist(), strict=True)
+    return dict.fromkeys(spread.names, 0.0) | dict(found) | {name: most(name) for name in unknown}, unknown
 
 
 def ratios(variance: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -189,6 +216,7 @@ class Fitted:
     sizes: FloatArray
     ratios: FloatArray  #: along, lateral, heading, shape (3,)
     interval: FloatArray  #: of each, shape (3, 2)
+    raised: float = 1.0  #: how many times as large as fitted the sizes are
 
 
 def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
@@ -217,7 +245,7 @@ def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
     freedom = 2.0 * np.sum(residuals**2, axis=0) ** 2 / np.maximum(scatter, 2.0 * np.sum(normal**2, axis=0))
     tails = np.array([0.5 + 0.5 * COVERAGE, 0.5 - 0.5 * COVERAGE])
     interval = found[:, None] * np.sqrt(freedom[:, None] / chi2.ppf(tails, freedom[:, None]))
-    return Fitted(raised * full, found, interval)
+    return Fitted(raised * full, found, interval, raised)
 
 
 def form_ratios(amcl: Spread, others: Sequence[Spread], residuals: FloatArray) -> FloatArray:
@@ -251,6 +279,7 @@ class _KindNoise:
     kind: str
     n_runs: int
     alphas: dict[str, float]
+    undetermined: tuple[str, ...]
     form: FloatArray
 
 
@@ -261,14 +290,9 @@ def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray)
         on = kinds == kind
         if on.sum() >= FEWEST_RUNS:
             amcl, *others = (model.of(on) for model in models)
-            alphas, _ = _alphas(amcl, sizes_of(amcl, residuals[on]))
-            found.append(_KindNoise(str(kind), int(on.sum()), alphas, form_ratios(amcl, others, residuals[on])))
+            alphas = stated(amcl, residuals[on])
+            found.append(_KindNoise(str(kind), int(on.sum()), *alphas, form_ratios(amcl, others, residuals[on])))
     return tuple(found)
-
-
-def _alphas(amcl: Spread, sizes: FloatArray) -> tuple[dict[str, float], tuple[str, ...]]:
-    unknown = undetermined(amcl, sizes)
-    return dict(zip(ALPHAS, map(float, sizes), strict=True)) | dict.fromkeys(unknown, DEFAULT_ALPHA), unknown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -279,11 +303,12 @@ class MotionNoise:
     length_m: float  #: median of the runs
     turn_rad: float  #: median of their total absolute rotation
     alphas: dict[str, float]
-    undetermined: tuple[str, ...]  #: alphas that these runs say nothing of
+    undetermined: tuple[str, ...]  #: alphas and walks that are bounds or defaults
     walks: dict[str, float]  #: variance a metre of distance (m) and of heading (rad^2/m)
     held_out: Fitted
     form: FloatArray  #: ratios by the form of AMCL's model alone, shape (3,)
     by_kind: tuple[_KindNoise, ...] = ()  #: where no alphas spread as all runs do
+    bounded: FloatArray | None = None  #: ratios of these runs where some alphas are bounds or defaults, shape (3,)
 
     @property
     def beyond_form(self) -> bool:
@@ -304,12 +329,11 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     notes = [f"the odometry is taken as corrected by: {named}; on the vehicle, correct it likewise"]
     if diagnosis.causes and not diagnosis.recommended:
         notes.append("this correction is not recommended: see calib diagnose")
-    if unknown := ", ".join(noise.undetermined):
-        notes.append(paragraph("amcl_unknown", listed=unknown, default=DEFAULT_ALPHA))
+    if unknown := ", ".join(name if name in ALPHAS else f"the walk ({name})" for name in noise.undetermined):
+        notes.append(paragraph("amcl_unknown", listed=unknown))
     if noise.beyond_form:
         notes.append(paragraph("amcl_form", listed=_listed(noise.form), cover=noise.cover))
-        near = ", ".join(each.kind for each in noise.by_kind if not is_beyond(each.form))
-        if near:
+        if near := ", ".join(each.kind for each in noise.by_kind if not is_beyond(each.form)):
             notes.append(f"alphas of their own meet the runs of {near} alone; the file has them by kind of run")
     text = parameters_text(noise, campaign.name, named, simulated=campaign.simulated)
     return (Artifact("nav2_odometry.yaml", text.encode(), tuple(notes)),)
@@ -333,17 +357,20 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
     path = diagnosis.correction.path
     models = amcl, walk, constant = tuple(spread_of(path, units, model) for model in MODELS)
     found, form = fitted(amcl, residuals, kinds), form_ratios(amcl, (walk, constant), residuals)
-    alphas, unknown = _alphas(amcl, found.sizes)
+    alphas, unknown = stated(amcl, residuals, found.raised)
+    walks, unknown_walks = stated(walk, residuals)
+    spread = np.einsum("uii->ui", amcl.covariance(np.array(list(alphas.values()))))
     return MotionNoise(
         n_runs=int(units.sum()),
         length_m=float(np.median(observations.length_m[units])),
-        turn_rad=float(np.median(observations.total(np.abs(diagnosis.correction.path.steps.turn_rad))[units])),
+        turn_rad=float(np.median(observations.total(np.abs(path.steps.turn_rad))[units])),
         alphas=alphas,
-        undetermined=unknown,
-        walks=dict(zip(walk.names, map(float, sizes_of(walk, residuals)), strict=True)),
+        undetermined=unknown + unknown_walks,
+        walks=walks,
         held_out=found,
         form=form,
         by_kind=kind_noise(models, residuals, kinds) if is_beyond(form) else (),
+        bounded=ratios(spread, residuals) if unknown else None,
     )
 
 

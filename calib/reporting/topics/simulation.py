@@ -222,14 +222,23 @@ def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> li
 
 
 def simulation_trajectories(simulation: Simulation, folder: Path, *, speed_mps: float, force: bool) -> list[Path]:
-    """Write each vehicle's path and the route as TUM files, timed by a constant speed along the route."""
-    written = []
+    """Write the route, which the odometry believes, and real paths as TUM files, timed by a constant speed along it.
+
+    Real: each vehicle's; under a law those with radii of the reference load and with radii that follow the load, along
+    the last route.
+    """
+    written, shown = [], dict(_sweeps(simulation))
     for name, sweep in simulation.sweeps.items():
         t = sweep.distance_m / speed_mps
         written.append(write_tum(folder / f"{name}_route.tum", t, sweep.reference, force=force))
-        for number, case in enumerate(sweep.cases):
+        for number, case in enumerate(sweep.cases if name in shown else ()):
             stem = f"{name}_{case.which}_{case.ratio:g}.tum"
             written.append(write_tum(folder / stem, t, sweep.poses[number], force=force))
+    if simulation.law is not None:
+        path, last = simulation.law.path, list(simulation.sweeps)[-1]
+        for stem, driven in (("without", path.without), ("corrected", path.corrected)):
+            target = folder / f"{last}_{stem}.tum"
+            written.append(write_tum(target, path.distance_m / speed_mps, driven.poses, force=force))
     return written
 
 
