@@ -256,8 +256,6 @@ def _kind(
         incomplete=any(map(fails, evidence.trials))
         or not large.isdisjoint(differing)
         or doubted
-        # though it is too small to be located
-        or evidence.search.rest >= CERTAIN_PROBABILITY
         or any(True for cause in causes for _ in beyond_vehicles(cause)),
         unexplained_share=unexplained_share,
         tied=any(len(group) > 1 and large.intersection(group) for group in groups),

@@ -58,7 +58,6 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
     measured[usable[:, Channel.FRONT], Channel.FRONT :] = 0.0
     numbers, carried_N = _numbers(campaign, units, steps, remarks)
     labels = {name: campaign.runs.label(name)[index] for name in _LABELS}
-    both_ways = bool(np.isin(labels["direction"], ("out", "back")).any())
     route, condition, cell = replicates(campaign, steps, measured[:, Channel.HEADING], numbers, labels)
     return Observations(
         vehicle=campaign.vehicle,
@@ -96,7 +95,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         sigma_theta_rad=np.where(guided, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
         count_rad=(1 / setup.per_rad.left, 1 / setup.per_rad.right),
         windowed=any(u.window > 0 for u in units),
-        common_frame=setup.in_map or (campaign.reference.frame is None and both_ways),
+        common_frame=setup.in_map or bool(not campaign.reference.frame and {"out", "back"} & {*labels["direction"]}),
         guided=guided,
         sigmas_assumed=_sigmas_assumed(campaign, usable),
         notes=tuple(remarks),
