@@ -59,7 +59,7 @@ def _within(version: str, events: list[Mapping[str, str]]) -> bool:
 
 
 def affected(record: Record, installed: Mapping[str, str]) -> Iterator[tuple[str, str, str]]:
-    """Yield name, version and the versions that put it right, of installed packages that a record speaks of."""
+    """Yield name, version and the versions that mend it, of installed packages that a record speaks of."""
     if record.get("withdrawn"):
         return
     for part in record.get("affected", ()):

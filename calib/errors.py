@@ -67,7 +67,7 @@ class ImplausibleError(CalibError):
 
     def __init__(self, name: str, findings: Sequence[str]) -> None:
         more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
-        super().__init__(f"{name}: FAILED: {findings[0].rstrip('.')}{more}; put it right, or accept it with a reason")
+        super().__init__(f"{name}: FAILED: {findings[0].rstrip('.')}{more}; correct it, or accept it with a reason")
         self.findings = tuple(findings)
 
 

@@ -75,6 +75,11 @@ def evenly(count: int, most: int) -> IntArray:
     return np.linspace(0, max(count - 1, 0), min(count, most)).round().astype(np.int64)
 
 
+def few_digits(value: float, digits: int = 3) -> str:
+    """Return a size in a sentence to some digits; where it is large, all before the point and no exponent."""
+    return f"{value:.{digits}g}" if abs(value) < 10**digits - 0.5 else f"{value:.0f}"
+
+
 def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:
     """Return the rows of columns of equal length (n,), each a mapping by name."""
     return [dict(zip(columns, row, strict=True)) for row in np.stack(list(columns.values()), axis=1).tolist()]

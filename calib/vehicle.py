@@ -107,7 +107,9 @@ def check_wheel_loads(
         if not loads.size:
             continue
         if not np.isfinite(loads).all():
-            raise BadInputError(f"{what}: found a {name} wheel load that is not finite; expected newtons; check it")
+            raise BadInputError(
+                f"{what}: found a {name} wheel load that is not finite; expected newtons; check masses and lengths"
+            )
         least, most = float(loads.min()), float(loads.max())
         if least <= 0.0:
             raise RefusedError(
@@ -225,7 +227,8 @@ def sweep_loads(
     if not np.isfinite([mass, x, y]).all() or (mass < 0.0).any():
         raise BadInputError("payload: found a value below 0 or not finite; expected a mass from 0 kg and a place in m")
     loads = np.stack(wheel_loads_N(vehicle, mass, x, y))
-    bad = (loads.min(axis=0) <= 0.0) | (loads.max(axis=0) > vehicle.max_wheel_load_N)
+    # written so that what is no number is bad
+    bad = ~((loads.min(axis=0) > 0.0) & (loads.max(axis=0) <= vehicle.max_wheel_load_N))
     if bad.any():
         k = int(np.argmax(bad))
         check_wheel_loads(vehicle, *loads[:, k], what=f"payload {mass[k]:g} kg at x {x[k]:g} m, y {y[k]:g} m")

@@ -36,7 +36,7 @@ def plan(campaign: CampaignLike, *, most: int = 5, seed: int = 0) -> Plan:
     campaign : Campaign
         What was driven so far.
     most : int
-        How many runs to name.
+        How many runs to name at most; one driven several times counts once.
     seed : int
         Seed of the diagnosis behind it.
 
@@ -67,8 +67,10 @@ def proposed(
         from calib.kinematics.estimate import estimate_geometry
 
         found = estimate_geometry(campaign, progress=progress)
-        now = Promise.of(found)
-        then = promised(with_next(_as_found(campaign, found), runs), now.scales) if runs else None
+        now, driven = Promise.of(found), _as_found(campaign, found)
+        then = promised(with_next(driven, runs), now.scales) if runs else None
+        if then and (design := promised(driven, now.scales)):
+            then = then.after(now, design)
         return Plan(campaign, full, tuple(runs), now, then)
     return Plan(campaign, full, tuple(runs))
 

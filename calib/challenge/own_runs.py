@@ -205,7 +205,7 @@ def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Prog
     if {cause.effect for cause in diagnosis.causes} - {effect.id for effect in diagnosis.effects}:
         raise RefusedError(
             f"{campaign.name}: the counters have a blunder ({diagnosis.sentence}); expected counts "
-            "that are right to a few per cent; put the campaign's encoder settings right first"
+            "that are right to a few per cent; correct the campaign's encoder settings first"
         )
     replay = Replay.of(diagnosis.observations)
     plants, left_out = plants_of(diagnosis, replay, asked.effects, asked.sizes, np.random.default_rng(asked.seed))

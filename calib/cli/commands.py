@@ -69,12 +69,13 @@ def _refuse_empty(parameters: Sequence[Any], words: Sequence[str]) -> None:
     for parameter in parameters:
         is_path = parameter.name in OUTPUTS or "Path" in str(parameter.type_descriptor.annotation)
         (paths if is_path else others).update(parameter.opts)
+    named = " or ".join(str(one.metavar or one.name) for one in parameters if not one.opts[0].startswith("-"))
     for before, word in itertools.pairwise(["", *words]):
         option, equals, value = word.partition("=")
         if option in paths and equals:
             refuse_empty(value, option)
         elif before in paths or (before not in others and any(not name.startswith("-") for name in paths)):
-            refuse_empty(word, before if before in paths else "argument")
+            refuse_empty(word, before if before in paths else named)
 
 
 def _refuse_dash(ctx: Any) -> None:

@@ -220,7 +220,7 @@ def plan(
     campaign: Annotated[Place, arg("CAMPAIGN", "Campaign that was driven.")] = None,
     source: Annotated[Place, opt("PLAN.toml", "A plan of runs, judged before anything is driven.", "--from")] = None,
     candidates: Annotated[Place, opt("FILE.toml", "Runs to choose from, as [[runs]]; else the usual ones.")] = None,
-    most: Annotated[int, opt(None, "How many runs to name.", min=1, max=50)] = 5,
+    most: Annotated[int, opt(None, "How many runs to name; repeats count once.", min=1, max=50)] = 5,
     seed: terminal.Seed = 0,
     figures: Annotated[Place, opt("FOLDER", "With --from: write the matrix there as PNG, SVG and PDF.")] = None,
 ) -> None:

@@ -17,7 +17,7 @@ from calib.kinematics.model import Model, Segments, replicates
 from calib.kinematics.readings import implausible_lengths
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS, flattened, left_within, whitened
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, few_digits
 
 #: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
 LACK_OF_FIT: Final = 3.0
@@ -103,12 +103,12 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     """
     found = residuals
     sizes = (found.before, found.after, found.held_out, found.expected)
-    before, after, held_out, noise = (f"{1e3 * value:.3g} {unit}" for value in sizes)
+    before, after, held_out, noise = (f"{few_digits(1e3 * value)} {unit}" for value in sizes)
     of = "distance travelled" if what == "position" else "rotation"
     travelled, unusual = max(found.travelled, 1e-12), LACK_OF_FIT * found.usual_noise
     if found.noise > max(WRONG_SHARE * travelled, unusual):
         share = f"{100 * found.noise / travelled:.2g} % of the {of}"
-        reason = f"{what}: replicates scatter by {1e3 * found.noise:.3g} {unit}, {share}"
+        reason = f"{what}: replicates scatter by {few_digits(1e3 * found.noise)} {unit}, {share}"
         return WRONG, (f"{reason}: more than wheels that roll; look for slip and a bad reference",)
     useless = found.held_out > USELESS_SHARE * found.before
     small = max(LACK_OF_FIT * found.expected, SMALL_SHARE * found.travelled)
@@ -116,7 +116,7 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     # a calibrated vehicle leaves nothing to explain: what is left is noise, and a small share of its way
     unexplained = useless and worst > min(small, WRONG_SHARE * travelled)
     if min(found.noise, found.before) > unusual and unexplained:
-        scatter = f"stretches of the same wheel motion scatter by {1e3 * found.noise:.3g} {unit}"
+        scatter = f"stretches of the same wheel motion scatter by {few_digits(1e3 * found.noise)} {unit}"
         reason = f"{what}: nothing of {before} is explained, and {scatter}"
         return DOUBTFUL, (f"{reason}: the wheels, or a steering sensor, do not tell how the vehicle moved",)
     stays = worst > small or found.held_out > WORTH_SHARE * found.before
@@ -229,8 +229,9 @@ def _harmed(
     worst = int(np.argmax(worse))
     if dof and worse[worst] > scatter_m**2 * fdtri(2.0, 2.0 * dof, 1.0 - 0.5 * OUTLIER_CHANCE / len(worse)):
         yield (
-            f"position: run {run_id[worst]} ends {1e3 * left[worst]:.3g} mm off with the result and "
-            f"{1e3 * near[worst]:.2g} mm without it: 'calib diagnose' looks for a cause that acts elsewhere alone"
+            f"position: run {run_id[worst]} ends {few_digits(1e3 * left[worst])} mm off with the result and "
+            f"{few_digits(1e3 * near[worst])} mm without it: 'calib diagnose' looks for a cause that acts elsewhere "
+            "alone"
         )
 
 
@@ -307,7 +308,6 @@ def _by_zero(fitted: Fitted, logged: Model) -> FloatArray:
 
 
 def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[str]:
-    """Yield what parts of runs show: closed loops end alike in a mirror, and replicates of two vehicles as noise."""
     segments, solution, free = fitted.model.segments, fitted.solution, fitted.parameters.free
     used = _used(fitted.model, outliers) & (segments.level > 0) & segments.seen.all(axis=1)
     if not used.any():
@@ -317,8 +317,8 @@ def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[
     off_m = float(np.median(np.hypot(rest[:, 0], rest[:, 1])))
     if off_m > max(WRONG_SHARE * way_m, LACK_OF_FIT * noise_m):
         yield (
-            f"position: {1e3 * off_m:.3g} mm of {way_m:.2g} m are left within runs: the path does not bend as the "
-            "wheels turn; is an axis of the reference mirrored, or are x and y exchanged?"
+            f"position: {few_digits(1e3 * off_m)} mm of {way_m:.2g} m are left within runs: the path does not bend "
+            "as the wheels turn; is an axis of the reference mirrored, or are x and y exchanged?"
         )
         return
     # of these instead of the longest
@@ -356,13 +356,14 @@ def _further(
     n_off = len(np.intersect1d(outliers, whole.recording.run_id[np.unique(whole.segments.run[large])]))
     if n_off > MANY_OUTLIERS * n_runs:
         # too many for single bad runs
-        yield f"{n_off} of {n_runs} runs are outliers: look at their references, times and counts"
+        some = f", {n_off} by more than {100 * SMALL_SHARE:g} % of way or rotation" if n_off < len(outliers) else ""
+        yield f"{len(outliers)} of {n_runs} runs are outliers{some}: look at their references, times and counts"
     rolled = float(np.hypot(heading.after * position.travelled, position.usual_noise))
     if heading.before and position.after > LACK_OF_FIT * rolled:
         yield (
-            f"position: {1e3 * position.after:.3g} mm are left where the headings and the usual drift make "
-            f"{1e3 * rolled:.3g} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), or the "
-            "reference's positions are wrong"
+            f"position: {few_digits(1e3 * position.after)} mm are left where the headings and the usual drift make "
+            f"{few_digits(1e3 * rolled)} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), "
+            "or the reference's positions are wrong"
         )
     if 0.0 < position.before < COPIED_SHARE * position.travelled:
         # no instrument agrees that well

@@ -122,7 +122,7 @@ def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
     kept = np.flatnonzero(~np.isin(parameters.free_names, fitted.undetermined))
     index = np.flatnonzero(parameters.free)[kept]
     sizes = parameters.nominal[index], fitted.solution.values[index], uncertainty.std[kept]
-    columns = (part.tolist() for part in (*sizes, uncertainty.dof[kept], uncertainty.free[kept]))
+    columns = (part.tolist() for part in (*sizes, uncertainty.free[kept]))
     names = [parameters.names[at] for at in index]
     return tuple(map(Estimate.of, names, *columns)), uncertainty.covariance[np.ix_(kept, kept)]
 
@@ -204,6 +204,23 @@ class Promise:
             scales[1:3] = first_scales(Reference())[1:3]
         return cls(geometry.estimates, geometry.undetermined, scales)
 
+    def after(self, driven: "Promise", design: "Promise") -> "Promise":
+        """Return the promise from what the runs driven gave, `driven`, beside that of these alone, `design`.
+
+        Their part of the variance stays as found; the next add what the design says, or as much less as was found.
+        """
+        own, before = ({row.name: row for row in one.estimates} for one in (driven, design))
+
+        def scaled(row: Estimate) -> Estimate:
+            if row.name not in own.keys() & before.keys():
+                return row
+            found, alone = own[row.name], before[row.name]
+            part, beside = (row.std / alone.std) ** 2, max((found.std / alone.std) ** 2, 1.0)
+            std = found.std * float(np.sqrt(part * (part + (1.0 - part) / beside)))
+            return Estimate.of(row.name, row.nominal, row.value, std, max(found.dof * row.dof / alone.dof, 1.0))
+
+        return replace(self, estimates=tuple(map(scaled, self.estimates)))
+
     def to_dict(self) -> dict[str, Any]:
         """Return each parameter's standard deviation and half 95 % interval, as plain JSON values."""
         parameters = {each.name: {"sd": each.std, "half_width95": each.half_width} for each in self.estimates}
@@ -223,7 +240,7 @@ def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise:
         if np.isfinite(sigma).any():
             scales[1] = np.nanmedian(sigma) ** 2
     source = odometry_source(campaign)
-    recording = recording_of(campaign, source)
+    recording = recording_of(campaign, source, planned=True)
     drive, segments = drive_of(campaign, source, recording), end_pose_segments(recording)
     fitted = fit_parameters(campaign, drive, recording, segments, sensor=False, known=scales)
     return Promise(_estimates(fitted)[0], fitted.undetermined, scales)
@@ -238,12 +255,14 @@ SHORTEST_SIDE: Final = 0.7
 FEWEST: Final = 2
 
 
-def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, BoolArray]:
+def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Return the mean side of each stretch that is a square, NaN of others, and whether it is counter-clockwise.
 
-    A square starts along a side, and its way points along four directions at right angles for nearly all its length.
+    A square starts along a side, and its way points along four directions at right angles for nearly all its length;
+    third: for what share, 0 where the stretch does not turn round once.
     """
     side, left = np.full(len(segments), np.nan), np.zeros(len(segments), dtype=np.bool_)
+    share = np.zeros(len(segments))
     for at, (first, last) in enumerate(zip(segments.first, segments.last, strict=True)):
         x, y, theta = prediction.path.pose[:, first : last + 1]
         theta, step = theta - theta[0], np.hypot(np.diff(x), np.diff(y))
@@ -254,9 +273,10 @@ def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, Boo
         number = np.rint(quarter)
         near = (np.abs(quarter - number) * 0.5 * np.pi < SIDE_RAD) & (number >= 0) & (number <= 3)
         lengths = np.bincount(number[near].astype(np.int64), step[near], minlength=4)
-        if lengths.sum() > SIDES_SHARE * step.sum() and lengths.min() > SHORTEST_SIDE * lengths.mean():
+        share[at] = lengths.sum() / step.sum()
+        if share[at] > SIDES_SHARE and lengths.min() > SHORTEST_SIDE * lengths.mean():
             side[at], left[at] = step.sum() / 4.0, turn > 0.0
-    return side, left
+    return side, left, share
 
 
 def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, track_m: float) -> Umbmark:
@@ -264,12 +284,15 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
 
     `prediction`: of the nominal vehicle; `calibrated`: its way shows which runs are squares; `track_m`: nominal.
     """
-    side, left = squares(calibrated, segments)
+    side, left, share = squares(calibrated, segments)
     square = np.isfinite(side) & segments.seen[:, :2].all(axis=1)
     n_ccw, n_cw = int((square & left).sum()), int((square & ~left).sum())
     if not n_ccw or not n_cw:
         missing = "squares" if n_ccw == n_cw else "clockwise squares" if not n_cw else "counter-clockwise squares"
-        return Umbmark(False, n_cw=n_cw, n_ccw=n_ccw, why=f"no {missing} among the runs")
+        why = f"no {missing} among the runs"
+        if 0.0 < (most := float(share[~square].max(initial=0.0))) <= SIDES_SHARE:
+            why += f": straight sides are {100 * most:.0f} % of the way round, of a square {100 * SIDES_SHARE:.0f} %"
+        return Umbmark(False, n_cw=n_cw, n_ccw=n_ccw, why=why)
     from scipy.linalg import block_diag
 
     error = prediction.residuals[:, :2]

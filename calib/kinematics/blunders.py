@@ -189,7 +189,6 @@ def still_steering(steer_rad: FloatArray, rolled: FloatArray, turned_rad: FloatA
 
 
 def _of_front(rolled: FloatArray, steer_rad: FloatArray) -> FloatArray:
-    """Return the front wheel's way by a counted shaft at the rear; none is steered across."""
     return rolled / np.maximum(np.cos(steer_rad), LEAST_COSINE)
 
 

@@ -280,7 +280,6 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
 
 
 def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
-    """Return the fit with the sensor placed too; None where that explains no more."""
     way: Using = "windows" if recording.continuous else task.way
     try:
         other = _fitted(replace(task, sensor=True, way=way), recording)

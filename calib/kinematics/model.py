@@ -157,7 +157,6 @@ def measured_between(reference: FloatArray, first: IntArray, last: IntArray, aro
 
 
 def _back(chord: ComplexArray) -> ComplexArray:
-    """Return what turns a chord to the x axis; 1 where there is none."""
     return np.asarray(np.exp(-1j * np.angle(chord)))
 
 

@@ -151,7 +151,6 @@ def _yaw_rates(recording: Recording) -> Iterator[Reading]:
 
 
 def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
-    """Yield headings given as a unit quaternion's z, the sine of half the heading."""
     z = np.concatenate([recording.reference[2], recording.end_pose[:, 2]])
     if not (np.abs(z[np.isfinite(z)]) <= LARGEST_Z).all():
         return

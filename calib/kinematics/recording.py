@@ -192,17 +192,19 @@ FOLLOWED_RAD: Final = 1.0
 MANY_POSES: Final = 20
 
 
-def recording_of(campaign: Campaign, source: str) -> Recording:
+def recording_of(campaign: Campaign, source: str, *, planned: bool = False) -> Recording:
     """Return wheels and reference of the runs that are not excluded.
 
     `campaign`: with logs; a straight run may have its end counts alone; `source` (one of `WHEEL_COLUMNS`): which
-    wheels drive the odometry. Raises RefusedError where no run has both wheels and a reference.
+    wheels drive the odometry; `planned`: repeats are alike, and none a copy. Raises RefusedError where no run has both
+    wheels and a reference.
     """
     campaign = campaign.included()
     per_rev = np.array(counts_per_rev(campaign.encoder, source))
     in_map = poses_are_in_a_map(campaign)
     away = in_map and campaign.reference.frame is None and _begins_away(campaign)
-    copied = {note.run_id: "a copy of another run, which counts once" for note in pasted_rows(campaign)}
+    pasted = () if planned else pasted_rows(campaign)
+    copied = {note.run_id: "a copy of another run, which counts once" for note in pasted}
     found = [
         copied.get(run_id) or _piece(campaign, row, source, per_rev, in_map, away)
         for row, run_id in enumerate(campaign.runs.run_id)
@@ -328,7 +330,6 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
 
 
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
-    """Return a straight run's end pose of its measured length: x, else NaN; two wheels on one axle tell if straight."""
     model, end = campaign.model, np.full(3, np.nan)
     if source != "rear":
         return end

@@ -43,19 +43,11 @@ class Estimate:
     dof: float
 
     @staticmethod
-    def of(name: str, nominal: float, value: float, std: float, dof: float, free: float) -> "Estimate":
-        """Return an estimate with its interval.
-
-        Parameters
-        ----------
-        name, nominal, value, std, dof
-            See the fields of these names.
-        free
-            Degrees of freedom of the interval: `dof`, unless part of `std` is taken for known.
-        """
+    def of(name: str, nominal: float, value: float, std: float, dof: float) -> "Estimate":
+        """Return an estimate with its interval; see `Estimate`."""
         from scipy.special import stdtrit
 
-        half = std * float(stdtrit(free, 0.975))
+        half = std * float(stdtrit(dof, 0.975))
         return Estimate(name, nominal, value, std, (value - half, value + half), dof)
 
     @property
@@ -269,7 +261,7 @@ class Geometry(Result):
         slope = np.array([over.get(name, 0.0) - value * under.get(name, 0.0) for name in names]) / under_at[0]
         std = float(np.sqrt(max(slope @ self.covariance @ slope, 0.0)))
         dof = self.freedom.of(slope) if self.freedom else min(self[part].dof for part in (*over, *under))
-        return Estimate.of(name, over_at[1] / under_at[1], value, std, dof, dof)
+        return Estimate.of(name, over_at[1] / under_at[1], value, std, dof)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain values: the keys of ``calib geometry --json``."""

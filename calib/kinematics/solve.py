@@ -47,7 +47,6 @@ def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) ->
 
 
 def _walks(path: Path, body: FloatArray, segments: Segments) -> FloatArray:
-    """Return end pose covariances, in the path's frame, of unit walks of heading and distance: (2, n, 3, 3)."""
     x, y, theta = path.pose
     weight = np.hypot(body[0], body[1]) + WAY_PER_RAD_M * np.abs(body[2])
     first, last, between = segments.first, segments.last, segments.between

@@ -136,7 +136,7 @@ class Uncertainty:
 
     #: of the free parameters, shape (n_free, n_free)
     covariance: FloatArray
-    #: of each standard deviation, shape (n_free,)
+    #: of what data leave of each standard deviation, shape (n_free,)
     dof: FloatArray
     #: independent groups (``run``, ``block``, ``session`` or ``route``), and their number
     by: str
@@ -155,7 +155,7 @@ class Uncertainty:
 
     @property
     def free(self) -> FloatArray:
-        """Degrees of freedom of the intervals, (n_free,): nominal values add no doubt about their own spread."""
+        """Degrees of freedom of `std`, (n_free,): the part that nominal values leave is known."""
         variance = np.diag(self.covariance)
         return self.dof * np.square(variance / np.maximum(variance - self.known, 1e-9 * variance))
 

@@ -95,8 +95,6 @@ def drive(
 
 
 class _PastAngles:
-    """Past steering angles, by parabolas: straight lines would cut every bend."""
-
     def __init__(self, delay_s: FloatArray, step_s: float) -> None:
         back = delay_s / step_s
         self.whole = np.floor(back).astype(np.int64)
@@ -264,7 +262,6 @@ class _Runs:
 
 
 def _within(values: FloatArray, most: float) -> FloatArray:
-    """Return values within +-`most`; on short arrays three times as fast as `np.clip`."""
     return np.asarray(np.minimum(np.maximum(values, -most), most))
 
 

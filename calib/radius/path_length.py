@@ -320,7 +320,6 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
 def _without_diverged(
     heading_rad: FloatArray, u: FloatArray, line: FloatArray, wave: FloatArray, weave: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return lines and waves; the trend alone where they diverged with opposite signs."""
     off = u - 0.5
     trend = (off * heading_rad).sum(axis=1) / (off * off).sum(axis=1)
     plain = np.stack([heading_rad.mean(axis=1) - 0.5 * trend, trend])

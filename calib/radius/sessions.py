@@ -232,8 +232,6 @@ class Autocorrelation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Series:
-    """Residuals in independent blocks, and orthonormal fitted columns (n_runs, k)."""
-
     residual: FloatArray
     fitted: FloatArray
     #: 1 where a run begins a block, shape (n_runs,)

@@ -199,7 +199,6 @@ def _wheel(document: dict[str, Any], side: str) -> WheelCoefficients:
 
 
 def _cross_covariance(document: dict[str, Any]) -> tuple[tuple[int, int, float], ...]:
-    """Return covariances between wheels, and with the track; empty where estimated apart."""
     together = document.get("joint_geometry")
     if together is None:
         return ()

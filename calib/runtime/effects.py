@@ -71,8 +71,6 @@ class Motion:
 
 @dataclass(slots=True)
 class _Change:
-    """Relative changes of left travel, right travel and track; further motion."""
-
     left: float = 0.0
     right: float = 0.0
     track: float = 0.0

@@ -56,3 +56,9 @@ def test_an_empty_path_is_refused(
     assert error.count("\n") == 1
     assert "found ''; expected the path of a file or folder; name one" in error
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("command", "name"), [("init", "FOLDER"), ("check", "CAMPAIGN"), ("ingest", "SOURCE")])
+def test_an_empty_argument_is_called_by_its_name(command: str, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([command, ""]) == 2
+    assert f"{name}: found ''" in capsys.readouterr().err

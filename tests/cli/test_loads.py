@@ -96,3 +96,10 @@ def test_tables_are_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     assert "50  0.2000  0.0000" in capsys.readouterr().out
     assert run(["loads", "--weighed", "800,500,420"]) == 0
     assert "not given" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("more", [[], ["--json", "-"]])
+def test_a_mass_beyond_all_numbers_is_refused(more: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """With and without JSON alike: a load that is no number is no answer."""
+    assert run(["loads", "--mass", "1e308", *more]) == 2
+    assert "wheel load that is not finite" in capsys.readouterr().err

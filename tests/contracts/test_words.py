@@ -14,7 +14,7 @@ NOT_OURS: Final[dict[str, str]] = {
     r"\bnought\b": "zero",
     r"\bat hand\b": "current, present",
     r"\bdriven alike\b": "replicates",
-    r"\bput right\b": "corrected",
+    r"\bputs? (?:[\w' ]{1,40} )?right\b": "correct",
     r"\bstands? in for\b": "is confounded with, replaces",
     r"\bthe way in\b": "API",
     r"\b(?-i:whisker)\b": "a small ridge term",

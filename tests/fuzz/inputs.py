@@ -130,7 +130,7 @@ def outcomes(base: Path, count: int, seed: int, first: int = 0, aim: str = "all"
 
 
 def _harm(base: Path, arguments: list[str]) -> str:
-    """Return what a command did to the sound campaign, and put it right for the next one."""
+    """Return what a command did to the sound campaign, and mend it for the next one."""
     kept, campaign = base / "kept", base / "C"
     changed = [
         path.name for path in kept.rglob("*") if path.is_file() and not _alike(path, campaign / path.relative_to(kept))

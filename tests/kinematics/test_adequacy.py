@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -245,6 +247,9 @@ def test_a_run_that_the_result_leads_aside_is_no_chance() -> None:
     run_id, way_m = np.array(["r0", "r1", "r2"]), np.full(3, 8.0)
     before, after = np.zeros((3, 3)), np.array([[0.01, 0.0, 0.0], [0.0, 0.142, 0.0], [0.0, 0.03, 0.0]])
     assert ["run r1 ends 142 mm" in text for text in _harmed(run_id, before, after, way_m, 0.009, 2)] == [True]
+    # lengths alike, and without exponents
+    (far,) = _harmed(run_id, before + np.array([0.166, 0.0, 0.0]), 10.0 * after, way_m, 0.009, 2)
+    assert "run r1 ends 1420 mm off with the result and 166 mm without it" in far
     # as small as calibrated odometry leaves, or scattered as much
     assert not [*_harmed(run_id, before, after, 5.0 * way_m, 0.009, 2)]
     assert not [*_harmed(run_id, before, after, way_m, 0.05, 2)]
@@ -255,3 +260,18 @@ def test_a_run_that_the_result_leads_aside_is_no_chance() -> None:
         scatter_m = float(np.sqrt(3.0 * replicates.var(axis=0).sum() / 2.0))
         said += len([*_harmed(run_id, before, noise, 1e-3 * way_m, scatter_m, 2)])
     assert said <= 10
+
+
+def test_the_number_of_outliers_is_that_of_the_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where some of those listed are off by less than calibrated odometry is: their number is told beside it."""
+    from calib.kinematics import adequacy
+
+    monkeypatch.setattr(adequacy, "_along", lambda *_: iter(()))
+    names, seen = np.array([f"r{n}" for n in range(24)]), np.ones((24, 3), dtype=bool)
+    recording = SimpleNamespace(run_id=names, lengths_alone=False)
+    model: Any = SimpleNamespace(segments=SimpleNamespace(run=np.arange(24), seen=seen), recording=recording)
+    fitted: Any = SimpleNamespace(model=model, parameters=SimpleNamespace(free=np.ones(3)), zero_spread_rad=0.0)
+    left = Residuals(0.1, 0.05, 0.05, 0.05, 8.0)
+    for n_large, beside in ((10, ""), (9, ", 9 by more than 0.5 % of way or rotation")):
+        said = [*adequacy._further(fitted, model, names[:10], np.arange(24) < n_large, left, left)]
+        assert said == [f"10 of 24 runs are outliers{beside}: look at their references, times and counts"]

@@ -143,6 +143,18 @@ def test_umbmark_does_not_apply_to_one_sense_alone() -> None:
     assert not found.applies and "clockwise" in found.why
 
 
+def test_umbmark_says_which_condition_squares_with_round_corners_fail() -> None:
+    """Arcs of 1 m radius instead of turns on the spot: straight sides are less of the way than a square's."""
+    side, arc = (2.0, 0.0), (0.5 * np.pi, 0.5 * np.pi)
+    runs = [(kind, [side, (arc[0], sign * arc[1])] * 4) for kind, sign in (("square_ccw", 1.0), ("square_cw", -1.0))]
+    found = estimate_geometry(campaign(runs * 5, TRUTH, np.random.default_rng(9))).umbmark
+    assert not found.applies
+    # of each arc two parts of 0.35 rad point along a side; the share is that of sides and these
+    share = 100.0 * (2.0 + 2.0 * 0.35) / (2.0 + arc[0])
+    assert found.why.startswith("no squares among the runs: straight sides are")
+    assert abs(float(found.why.partition("sides are ")[2].partition(" %")[0]) - share) < 3.0
+
+
 def test_loads_and_geometry_come_from_one_fit() -> None:
     """Radius at the reference load, slope and track of both wheels, with the terms that couple left and right."""
     truth = Truth(slope_left=2e-6, slope_right=-1e-6)

@@ -8,17 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from scipy.stats import t as student
 
 from calib.api.outputs import proposed
 from calib.campaign.model import Logs
 from calib.campaign.read import read_campaign
 from calib.cli.main import run
 from calib.gap.plan.next_runs import with_next
-from calib.gap.plan.planned_runs import Measured, PlannedRun
+from calib.gap.plan.planned_runs import Measured, PlannedRun, drive, joined
+from calib.gap.plan.routes import Dimensions
 from calib.kinematics.assemble import Promise, promised
 from calib.kinematics.drives import first_scales
 from calib.kinematics.estimate import estimate_geometry
-from tests.kinematics.promises import LABS, NOTHING, SIGMA, Lab, kept, promise
+from calib.kinematics.result import Geometry
+from tests.kinematics.campaigns import Truth, campaign, mixed
+from tests.kinematics.promises import CORRIDOR_M, LABS, NOTHING, ROUTES, SIGMA, Lab, kept, promise, simulated
 
 CAMPAIGNS = 12
 #: the squares of so many errors over the promised variance leave these bounds by chance once in a thousand times
@@ -91,6 +95,62 @@ def test_further_runs_promise_narrower_intervals_of_a_driven_campaign() -> None:
     assert track[1] < 0.1 * track[0]
     # the loads of planned runs follow from their payload: slopes stay among the parameters
     assert {one.name for one in then.estimates} == {one.name for one in now.estimates}
+
+
+#: degrees of freedom that a run of much weight takes, where it adds nothing
+NO_WIDER = 1.0001
+
+
+def test_more_runs_promise_no_wider_interval() -> None:
+    """Of end poses, and of a reference along the path, whose windows tell more than any design of end poses."""
+    along = campaign(mixed(3), Truth(0.0502, 0.05, 0.402), np.random.default_rng(3), along=True)
+    for driven in (read_campaign("sample_runs/corridor"), along):
+        found = estimate_geometry(driven)
+        now, driven = Promise.of(found), replace(driven, model=replace(driven.model, **lengths_of(found)))
+        design = promised(driven, now.scales)
+        for kind in ("corridor", "square_cw"):
+            then = promised(with_next(driven, [PlannedRun(kind, count=3)]), now.scales).after(now, design)
+            before = {one.name: one.half_width for one in now.estimates}
+            assert {one.name for one in then.estimates} == {name for name in before if name in lengths_of(found)}
+            assert all(one.half_width < before[one.name] * NO_WIDER for one in then.estimates), kind
+
+
+def lengths_of(found: Geometry) -> dict[str, float]:
+    return {name: value for name, value in found.values.items() if name.startswith(("radius_", "track_", "slope_"))}
+
+
+#: three runs beside 32 move intervals by 7 %; in 25 campaigns those found were 0.92 to 1.10 of those promised, by the
+#: design alone 0.9 to 1.35
+NEAR = 0.13
+
+
+def test_what_a_driven_campaign_promises_is_found_once_the_next_runs_are_driven() -> None:
+    """The part of the runs driven is known; vehicle, noise and motion are simulated by no code of calib's."""
+    lab, dimensions, ratios = (
+        Lab([*ROUTES, *ROUTES, *ROUTES[:3]], LABS["positions"].measured, SIGMA),
+        Dimensions(CORRIDOR_M),
+        [],
+    )
+    for seed in range(6):
+        _, made = simulated(lab, np.random.default_rng([seed, 78]))
+        driven = made.select(np.arange(len(made.runs)) < 32)
+        found = estimate_geometry(driven)
+        now, model = Promise.of(found), replace(driven.model, **lengths_of(found))
+        driven = replace(driven, model=model)
+        planned = drive(driven, lab.runs[32:], lab.measured, dimensions)
+        then = promised(joined(driven, planned), now.scales).after(now, promised(driven, now.scales))
+        after = {one.name: one.half_width for one in estimate_geometry(made).estimates}
+        ratios += [after[one.name] / one.half_width for one in then.estimates]
+    assert len(ratios) == 18 and max(np.abs(np.array(ratios) - 1.0)) < NEAR, ratios
+
+
+def test_degrees_of_freedom_are_those_of_the_interval() -> None:
+    """Also where nominal values are part of a result, as closed loops leave the mean radius open."""
+    _, made = simulated(LABS["closed loops"], np.random.default_rng([0, 77]))
+    found = estimate_geometry(made.select(np.arange(12) % 2 == 0))
+    assert found.undetermined == ("mean_radius_m",)
+    for one in found.estimates:
+        assert one.half_width / one.std == pytest.approx(float(student.ppf(0.975, one.dof)), rel=1e-6), one.name
 
 
 def test_the_commands_state_the_promise(capsys: pytest.CaptureFixture[str]) -> None:

@@ -192,6 +192,8 @@ def test_what_the_campaign_states_is_carried_over(campaign: Campaign) -> None:
     for key in keys:
         assert (f"text of {key}" if key != "instruments" else "laser, certificate 1; scale, certificate 2") in text, key
     assert "not stated" not in text
+    # a default that no result depends on is nothing stated
+    assert "permissible wheel load" not in text
     assert made.to_dict()["author"] == "text of laboratory"
 
 

@@ -116,3 +116,10 @@ def test_a_form_that_is_more_probable_than_the_cause_says_so() -> None:
     found = Diagnosis(VerdictKind.EXPLAINED, "", (cause,), probabilities={"load_dependent_track": 0.64})
     said = " ".join(to_text(diagnosis_content(found)).split())
     assert "do not determine the form; load_dependent_track (64 %), wear fit equally well" in said
+
+
+def test_a_temperature_of_a_run_to_drive_is_one_that_a_hall_keeps() -> None:
+    """The median of the runs driven, 19.975 degrees, is told to a tenth, and speeds as they were chosen."""
+    made = next_runs_table([PlannedRun("corridor", speed_mps=0.35, temperature_C=19.975, why="tells").to_dict()])
+    assert isinstance(made, Table)
+    assert "20" in made.rows[0] and "0.35" in made.rows[0] and "19.975" not in " ".join(map(str, made.rows[0]))

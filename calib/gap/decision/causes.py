@@ -37,8 +37,6 @@ MOST_COVARIATES: Final = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sized:
-    """A form at its fitted size: covariance, whitened columns (n_rows, n_parameters), signal."""
-
     form: Form
     theta: FloatArray
     covariance: FloatArray

@@ -23,6 +23,7 @@ from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class, why_not_transferable
 from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
 from calib.gap.inference.local_search import EVEN_PROBABILITY
+from calib.types import few_digits
 
 #: what settles most doubts
 PLAN: str = "'calib plan' names the runs that tell"
@@ -252,7 +253,7 @@ def harm(trials: Sequence[Trial]) -> Iterator[str]:
         sizes = ""
         # the end may come nearer where heading or distance get worse
         if trial.before_rms_m is not None and trial.after_rms_m is not None and trial.after_rms_m > trial.before_rms_m:
-            sizes = f" from {1e3 * trial.before_rms_m:.3g} to {1e3 * trial.after_rms_m:.3g} mm"
+            sizes = f" from {few_digits(1e3 * trial.before_rms_m)} to {few_digits(1e3 * trial.after_rms_m)} mm"
         yield (
             f"held out, {trial.left_out} {trial.value} gets worse{sizes}, {trial.growth_sd:.1f} standard deviations "
             "beyond noise; drive it again, once slower and once loaded otherwise"
@@ -310,6 +311,6 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
         return
     groups = "; ".join(" or ".join(group) for group in tied)
     yield (
-        f"these runs cannot tell {groups}, and their corrections differ by {1e3 * apart_m:.3g} mm at the end of the "
-        f"{on} (noise {1e3 * (closure.floor_rms_m or 0.0):.3g} mm); {TAPE if by_tape else PLAN}"
+        f"these runs cannot tell {groups}, and their corrections differ by {few_digits(1e3 * apart_m)} mm at the end "
+        f"of the {on} (noise {few_digits(1e3 * (closure.floor_rms_m or 0.0))} mm); {TAPE if by_tape else PLAN}"
     )

@@ -254,11 +254,10 @@ def closure_of(
 
 
 def _fraction(squares: FloatArray, expected: FloatArray) -> float | None:
-    """Return the closure of whitened squares (n, 2) with `expected` of noise; None without a gap."""
     before, after = squares.sum(axis=0) - expected.sum()
     if before < LEAST_GAP * expected.sum():
         return None
-    return float(np.clip(1.0 - max(after, 0.0) / before, -1.0, 1.0))
+    return float(1.0 - max(after, 0.0) / before)
 
 
 def _interval(
@@ -269,7 +268,7 @@ def _interval(
     by_condition = np.stack([np.bincount(number, values, n) for values in (*squares.T, expected)], axis=1)
     before, after, noise = by_condition[rng.integers(0, n, (BOOTSTRAPS, n))].sum(axis=1).T
     gap = np.maximum(before - noise, LEAST_RESAMPLED_GAP * np.maximum(noise, 1.0))
-    low, high = np.quantile(np.clip(1.0 - (after - noise) / gap, -1.0, 1.0), (0.025, 0.975))
+    low, high = np.quantile(np.minimum(1.0 - (after - noise) / gap, 1.0), (0.025, 0.975))
     return float(low), float(high)
 
 

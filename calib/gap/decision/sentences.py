@@ -13,6 +13,7 @@ from calib.gap.effects.radii import HIDES_IN
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.gap.localise.along_run import PlaceResult
 from calib.gap.localise.locate import GapLocation
+from calib.types import few_digits
 
 if TYPE_CHECKING:
     from calib.odometry.simulation import Improvement as Reduction
@@ -249,7 +250,7 @@ def _channels(diagnosis: Diagnosis) -> str:
 def _channel(line: ChannelClosure, *, both: bool) -> str:
     unit = line.channel.unit
     factor, unit = (1.0, unit) if line.before_rms >= LARGE_GAP else (1e3, f"m{unit}")
-    before, after, floor = (f"{factor * value:.3g}" for value in (line.before_rms, line.after_rms, line.floor_rms))
+    before, after, floor = (few_digits(factor * value) for value in (line.before_rms, line.after_rms, line.floor_rms))
     return f"{line.channel.label} {before}{f' -> {after}' if both else ''} {unit} (noise level {floor})"
 
 

@@ -139,7 +139,6 @@ def groupings(observations: Observations, *, by_balance: bool = False) -> dict[s
 
 
 def _binned(values: FloatArray, width: float, words: str) -> StrArray:
-    """Name values by the mean of neighbours in size; a step above `width` begins another bin."""
     order = np.argsort(values)
     group = np.zeros(len(values), dtype=np.int64)
     group[order] = np.cumsum(np.concatenate(([0], np.diff(values[order]) > width)))

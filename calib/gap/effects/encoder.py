@@ -197,7 +197,7 @@ class Blunder:
     def remark(self) -> str:
         """What to do about it."""
         axes = "or the reference's axes (y to the left, angles counter-clockwise), " if self.swapped else ""
-        return f"put it right, {axes}then diagnose again"
+        return f"correct it, {axes}then diagnose again"
 
     @property
     def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
@@ -297,7 +297,7 @@ def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by
 
 
 def find_blunder(observations: Observations, nominal: Path) -> Blunder | None:
-    """Return the blunder that puts the counts right, None where the counts are roughly right or nothing helps."""
+    """Return the blunder that corrects the counts, None where the counts are roughly right or nothing helps."""
     if np.isfinite(observations.simulated).any():
         return None
     now = float(np.mean(misfit(nominal)))

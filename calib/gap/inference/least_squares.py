@@ -160,7 +160,6 @@ def _current_values(system: LinearSystem, model: Sequence[int]) -> FloatArray:
 def _simulated_at(
     system: LinearSystem, model: Sequence[int], values: FloatArray, covariance: FloatArray
 ) -> tuple[Fitted, FloatArray]:
-    """Re-simulate at values (4 + n_parameters,); also return the whitened residual, (n_rows,)."""
     forms, calibration = tuple(system.forms[k] for k in model), values[:4]
     theta = tuple(by_form(forms, values))
     path = fitting.hypothesis_path(system.path.s, calibration, forms, theta, system.path)

@@ -19,7 +19,7 @@ from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan import planned_runs
-from calib.gap.plan.identifiability import ENOUGH_SD, Apart, Signatures, noise_at, tied, untied
+from calib.gap.plan.identifiability import ENOUGH_SD, Apart, Signatures, Task, noise_at, tied, untied
 from calib.gap.plan.planned_runs import Measured, PlannedRun, drive, joined
 from calib.gap.plan.routes import DEFAULT_CORRIDOR_M, Dimensions, dimensions_of, route_of, size_of
 from calib.gap.predict import Path, predict
@@ -50,7 +50,7 @@ def next_runs(
 
     `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
     effects; `apart_on`: how far those are on other runs; `candidates`: see `default_candidates`; `most`: runs to
-    recommend, beside the unladen one.
+    recommend, the unladen one among them.
     """
     driven = campaign.included()
     measured, dimensions = _measured(driven), dimensions_of(driven)
@@ -90,18 +90,32 @@ def next_runs(
     later = law[: min(1, most + 1 - len(chosen))] if task.tied and not set(law).intersection(chosen) else []
     # what tells nothing more is not driven
     kept = {*first, 0} if later or set(first.values()) & {_OF_LAW, _BOTH_WAYS} else {*first}
-    for n in reversed(chosen):
-        others = [other for other in chosen if other != n]
-        if n not in kept and (task.tied or n == 0) and task.told(others) >= task.told(chosen):
-            chosen = others
-    proposed, steps = list[PlannedRun](), task.of([chosen[:place] for place in range(len(chosen) + 1)])
+    chosen, beside = _needed(task, chosen, kept, most - len(later) * (most != 2))
+    later = later[: most - len(chosen)]
+    proposed, steps = list[PlannedRun](), task.of([[*beside, *chosen[:place]] for place in range(len(chosen) + 1)])
     for n, before, after in zip(chosen, steps, steps[1:], strict=False):
         why = "; ".join(filter(None, (first.get(n, ""), task.why(before, after, steps[-1])))) or _BESIDE
+        why += _ONE_MORE * bool(beside and n == chosen[0])
         proposed.append(replace(runs[n], why=why, distance=float(after.min()) if task.tied else None))
     proposed += [replace(runs[n], why=_OF_LAW) for n in later]
     # what tells nothing by itself comes last
     runs = sorted(proposed, key=lambda run: run.why == _BESIDE)
     return [_stated(run, dimensions, by_laser=measured.distance) for run in runs]
+
+
+def _needed(task: Task, chosen: list[int], kept: Collection[int], most: int) -> tuple[list[int], list[int]]:
+    """Return `most` of the chosen runs that tell something, `kept` first, and the unladen one where they need it."""
+    for n in reversed(chosen):
+        others = [other for other in chosen if other != n]
+        if n not in kept and (task.tied or n == 0) and task.told(others) >= task.told(chosen):
+            chosen = others
+    if len(chosen) <= most:
+        return chosen, []
+    # the last tells least; the unladen alone tells no causes apart
+    spare = [n for n in chosen if n not in kept] if most > 1 or not task.tied else []
+    out = spare[-1] if spare else chosen[0]
+    others = [n for n in chosen if n != out]
+    return others, [0] * (out == 0 and (0 in kept or task.told(others) < task.told(chosen)))
 
 
 def _stated(run: PlannedRun, dimensions: Dimensions, *, by_laser: bool) -> PlannedRun:
@@ -114,6 +128,7 @@ _OF_SCALE: Final = "a length by tape or laser (distance_m) tells radii and track
 _BY_TAPE: Final = "; the end's place by tape belongs in ref_x_m and ref_y_m"
 _BOTH_WAYS: Final = "drive each load both ways: load and direction changed together, which tells nothing of either"
 _BESIDE: Final = "the same session without load, for the others to be compared with"
+_ONE_MORE: Final = ", beside the same session without load: one run more"
 _OTHER_DAY: Final = "; in a session of its own, on a day when the hall has that temperature"
 
 

@@ -226,10 +226,11 @@ def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
         extra.append(f"payload at {run.get('payload_x_m', 0.0):g}, {run.get('payload_y_m', 0.0):g} m".replace("-", "−"))
     what = ", ".join([f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip(), *extra])
 
-    def shown(key: str) -> str:
-        return f"{run[key]:g}".replace("-", "−") if run.get(key) is not None else MISSING
+    def shown(key: str, decimals: int = 2) -> str:
+        return f"{round(run[key], decimals):g}".replace("-", "−") if run.get(key) is not None else MISSING
 
-    numbers = (shown("payload_kg"), shown("speed_mps"), shown("temperature_C"), shown("minutes_under_load"))
+    # no hall keeps a temperature to a hundredth
+    numbers = (shown("payload_kg"), shown("speed_mps"), shown("temperature_C", 1), shown("minutes_under_load"))
     return (f"{number}. {what}", *numbers, prose(str(run["why"])))
 
 

@@ -30,7 +30,7 @@ def item_section(source: Source) -> Section:
         ("Track", f"{1e3 * vehicle.track_m:.1f} mm between the contact points of the rear wheels"),
         ("Wheelbase", f"{1e3 * vehicle.wheelbase_m:.1f} mm"),
         ("Nominal wheel radius", f"{1e3 * vehicle.wheel_radius_m:.2f} mm, unloaded"),
-        ("Mass", f"{vehicle.mass_kg:g} kg without payload, permissible wheel load {vehicle.max_wheel_load_N:g} N"),
+        ("Mass", f"{vehicle.mass_kg:g} kg without payload"),
         ("Wheel encoders", f"{counts} counts a revolution{wrap}"),
     ]
     facts = Facts(tuple((name, value or MISSING) for name, value in rows))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.decision.held_out import HeldOut, folds, measure_closure
+from calib.gap.decision.held_out import HeldOut, _fraction, _interval, folds, measure_closure
 from calib.gap.effects.radii import TemperatureRadius
 from calib.gap.inference.fit import fit
 from calib.gap.inference.least_squares import HeldOutFit
@@ -146,3 +146,12 @@ def test_the_only_corridor_beside_closed_loops_says_nothing_against_a_correction
     assert closure.fraction is not None and closure.fraction > 0.9
     # each square is predicted by the others, the corridor's distance by itself
     assert all(line.after_rms < 2.0 * line.floor_rms for line in closure.channels)
+
+
+def test_a_channel_that_gets_more_than_twice_as_bad_says_by_how_much() -> None:
+    """Squares above the noise of 1 that become 3.2 times as many: -220 %, and no limit at -100 %."""
+    before, after, noise = 1.0 + 1.0, 1.0 + 3.2, 1.0
+    closed = _fraction(np.array([[before, after]] * 10), np.full(10, noise))
+    assert closed == pytest.approx(1.0 - 3.2, rel=1e-12)
+    low, high = _interval(np.array([[before, after]] * 10), np.full(10, noise), np.arange(10), np.random.default_rng(0))
+    assert low == pytest.approx(-2.2, rel=1e-9) and high == pytest.approx(-2.2, rel=1e-9)

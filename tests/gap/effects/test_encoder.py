@@ -1,4 +1,4 @@
-"""Encoder blunders: each that is planted is named with what puts it right; sound campaigns have none."""
+"""Encoder blunders: each that is planted is named with what corrects it; sound campaigns have none."""
 
 from __future__ import annotations
 

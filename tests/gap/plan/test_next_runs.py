@@ -132,6 +132,20 @@ def test_a_laden_run_beside_an_unladen_one_separates_load_and_session() -> None:
         assert name == "load_radius" and near["session_step"] < SEPARATION_SD
 
 
+@pytest.mark.parametrize("most", [1, 2, 3, 5])
+def test_no_more_runs_are_named_than_asked_for(most: int) -> None:
+    """The unladen run counts; where one alone is asked for, the run that tells is named and says what it needs."""
+    campaign = base()
+    s, noise = noise_of(campaign)
+    ties, apart = [("load_radius", "session_step")], named(campaign, {"load_radius": 1.0})
+    runs = next_runs(campaign, library(s), noise, ties, apart_on=apart, most=most)
+    assert 1 <= len(runs) <= most
+    assert runs[0].payload_kg > 0.0 and "tells load_radius from session_step" in runs[0].why
+    assert ("beside the same session without load" in runs[0].why) == (most == 1)
+    untied = next_runs(campaign, library(s), noise, most=most)
+    assert 1 <= len(untied) <= most
+
+
 def test_another_curvature_separates_track_and_scrub() -> None:
     """Squares of one corner radius cannot tell a wrong track from scrub; no straight run can either."""
     campaign = base(2, "squares_one_load")
@@ -251,8 +265,8 @@ def test_an_error_in_a_plan_names_its_place(tmp_path: FilePath, text: str, colum
         read_plan(path)
 
 
-def test_three_chosen_runs_separate_more_than_four_at_random() -> None:
-    """From 20 straight runs under varied load; in earlier trials 7 effects of 20 became 17 with 3 runs, 13 with 4."""
+def test_four_chosen_runs_separate_more_than_four_at_random() -> None:
+    """From 20 straight runs under various loads; once 7 effects of 20 became 17 with 3 and one unladen, 13 with 4."""
     campaign = base()
     loads = [(0.0, 0.0), (50.0, 0.15), (100.0, -0.15), (150.0, 0.0), (200.0, 0.1)]
     straight = [
@@ -263,7 +277,7 @@ def test_three_chosen_runs_separate_more_than_four_at_random() -> None:
     driven = called(drive(campaign, straight, Measured(front=True)))
     offered = default_candidates(driven)
     s = observations_of(driven)
-    chosen = next_runs(driven, library(s), noise_at(predict(s), {}), candidates=offered, most=3)
+    chosen = next_runs(driven, library(s), noise_at(predict(s), {}), candidates=offered, most=4)
     by_content = {repr(run.to_dict()): run for run in offered}
     told = {"why", "distance", "count", "size"}
     planned = [{key: value for key, value in run.to_dict().items() if key not in told} for run in chosen]
@@ -298,7 +312,7 @@ def test_a_law_of_one_day_gets_a_second_load_on_another_day() -> None:
     """So that with the unladen repeat two sessions have two loads; of the sample, where all sessions have, nothing."""
     crossed = calib.read(ROOT / "sample_runs" / "corridor_crossed").included()
     day = crossed.select(crossed.runs.label("session") == "s1")
-    runs = calib.plan(day, most=1).runs
+    runs = calib.plan(day, most=2).runs
     assert {(run.kind, run.payload_kg) for run in runs} == {("corridor", 0.0), ("corridor", 200.0)}
     assert any("another day" in run.why for run in runs if run.payload_kg)
     assert len(sessions_of_loads(with_next(day, runs))) == 2
