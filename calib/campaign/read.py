@@ -163,13 +163,13 @@ def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> Flo
             where = f"{shown}, row {runs.line[run]}, column {name}"
             border.say(where, text, "wrapped_total", run_id=str(runs.run_id[run]))
         if turns.any():
-            return np.asarray(whole)
+            return whole
     return total
 
 
 def log_totals(logs: Logs, name: str) -> FloatArray:
     """Return last minus first of a log column for each run, shape (n_runs,); NaN without it."""
-    return np.asarray(_sample(logs, name, logs.offsets[1:] - 1) - _sample(logs, name, logs.offsets[:-1]))
+    return _sample(logs, name, logs.offsets[1:] - 1) - _sample(logs, name, logs.offsets[:-1])
 
 
 def _sample(logs: Logs, name: str, at: IntArray) -> FloatArray:
@@ -306,7 +306,7 @@ def _turn_by_wheels(campaign: Campaign) -> FloatArray:
         return np.full(len(campaign.runs), np.nan)
     model = axle.model
     left, right = (axle.runs.number(name) / axle.encoder.per_rev(name) for name in _COUNTS)
-    return np.asarray(2.0 * np.pi * (right * model.radius_right_m - left * model.radius_left_m) / model.track_m)
+    return 2.0 * np.pi * (right * model.radius_right_m - left * model.radius_left_m) / model.track_m
 
 
 def read_or_ingest(

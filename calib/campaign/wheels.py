@@ -188,7 +188,7 @@ def smoothed_speed_mps(way_m: FloatArray, t_s: FloatArray) -> FloatArray:
     index = np.arange(len(t_s))
     before, after = np.maximum(index - half, 0), np.minimum(index + half, len(t_s) - 1)
     span = t_s[after] - t_s[before]
-    return np.asarray((way_m[after] - way_m[before]) / np.where(span > 0.0, span, np.inf))
+    return (way_m[after] - way_m[before]) / np.where(span > 0.0, span, np.inf)
 
 
 def lengthening(over: FloatArray) -> FloatArray:

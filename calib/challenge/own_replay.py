@@ -77,7 +77,7 @@ def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: Wor
         for unit, end in enumerate(last + 1):
             at = time_s[:end, unit]
             true[:end, unit] = np.interp(at + late[unit], at, true[:end, unit])
-    return np.asarray(true)
+    return true
 
 
 def _side(angle: FloatArray, last: IntArray) -> FloatArray:

@@ -172,15 +172,15 @@ class ProcessEngine(Engine):
 
     @property
     def workers(self) -> int:
-        """How many processes there are."""
+        """See `Engine`."""
         return self._workers
 
     def close(self) -> None:
-        """End the processes."""
+        """See `Engine`."""
         self._pool.shutdown(cancel_futures=True)
 
     def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
-        """Begin a batch in a process."""
+        """See `Engine`."""
         return self._pool.submit(task, batch)
 
     def renew(self) -> None:
@@ -270,7 +270,7 @@ class DaskEngine(Engine):
 
     @property
     def workers(self) -> int:
-        """How many threads the workers have."""
+        """See `Engine`."""
         threads: int = sum(self._client.nthreads().values())
         return max(1, threads)
 
@@ -280,7 +280,7 @@ class DaskEngine(Engine):
             self._client.close(timeout=CLOSE_S)
 
     def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
-        """Give a batch to the scheduler, as bytes."""
+        """See `Engine`."""
         from distributed.protocol import serialize
 
         future: Future[list[Result]] = self._executor.submit(_unpacked, *serialize((task, batch)))
@@ -298,7 +298,7 @@ class DaskEngine(Engine):
             raise self._lost(error) from error
 
     def ask(self) -> None:
-        """Raise RefusedError where the scheduler does not answer."""
+        """See `Engine`."""
         try:
             self._client.sync(self._client.scheduler.identity, callback_timeout=ANSWER_S)
         except (OSError, TimeoutError) as error:

@@ -54,11 +54,11 @@ class Covariate(_OfColumn):
         super().__init__(COVARIATE_PREFIX + column, "", column, f"the column {column} of runs.csv")
 
     def centre(self, values: FloatArray) -> Centre:
-        """Return mean and standard deviation of the column."""
+        """See `Proportional`."""
         return Centre(float(np.mean(values)), float(np.std(values)) or 1.0)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return four forms; none where the column has gaps or does not vary."""
+        """See `Effect`."""
         values = self.quantity(observations)
         if not varies(values, 0.0, observations) or self.centre(values).spread <= 1e-12 * float(np.max(np.abs(values))):
             return []
@@ -125,7 +125,7 @@ class Declared(_OfColumn):
         self.parameter = Parameter("size", unit, entry.typical, entry.largest)  # type: ignore[misc]
 
     def form(self, values: FloatArray, acts_on: str, parameter: Parameter | None = None, label: str = "") -> Form:
-        """Return the form with the mean of the column among its settings."""
+        """See `Proportional`."""
         return replace(super().form(values, acts_on, parameter, label), settings={"mean": self.centre(values).mean})
 
 

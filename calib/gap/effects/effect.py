@@ -76,7 +76,7 @@ class Centre:
 
     def deviations(self, values: FloatArray) -> FloatArray:
         """Return how far values lie from the centre, NaN as 0, same shape."""
-        return np.asarray(np.nan_to_num((values - self.mean) / self.spread))
+        return np.nan_to_num((values - self.mean) / self.spread)
 
 
 Perturbations = Callable[[Path], Sequence[Perturbation]]

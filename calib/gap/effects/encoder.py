@@ -34,7 +34,7 @@ class WheelEccentricity(Effect):
     separates = "the log within a run"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms for the left wheel, the right wheel and both; none without logs."""
+        """See `Effect`."""
         if not observations.from_log.any():
             return []
 
@@ -96,7 +96,7 @@ class LostCounts(Effect):
     shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return, for each wheel, a constant share and, where speeds differ, three shares that grow with speed."""
+        """See `Effect`."""
         ones = np.ones(len(observations))
         constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)
         shapes: list[tuple[str, Parameter, dict[str, float]]] = [("constant share", constant, {})]
@@ -140,7 +140,7 @@ def _wheels_mps(observations: Observations) -> FloatArray:
         ways = [np.abs(part.travel_left_m), np.abs(part.travel_right_m)]
         over_way = ways[0] * _wheel_mps(part, "left") + ways[1] * _wheel_mps(part, "right")
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(part.total(over_way) / part.total(ways[0] + ways[1]))
+            return part.total(over_way) / part.total(ways[0] + ways[1])
 
     logged = observations.of_parts(mean)
     return np.where(observations.from_log & (logged > 0.0), logged, np.abs(observations.number("speed_mps")))
@@ -178,7 +178,7 @@ class EncoderBlunder(Effect):
     found_before_search = True
 
     def forms(self, observations: Observations) -> list[Form]:  # noqa: ARG002
-        """Return none: the fault is found before the search."""
+        """See `Effect`."""
         return []
 
 

@@ -217,7 +217,7 @@ class FloorUndulation(Effect):
     shifts = ("radius_scale",)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""
+        """See `Effect`."""
         lane = observations.number("lane")
         groups: list[tuple[str, BoolArray]] = []
         if varies(lane, 0.0, observations):
@@ -294,7 +294,7 @@ class TravelDirection(Effect):
     shifts = ("radius_scale",)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return two forms, unlike in runs of neither direction; none where all runs go one way."""
+        """See `Effect`."""
         sigma = observations.heading_sign
         if not varies(sigma, 0.0, observations):
             return []
@@ -313,7 +313,7 @@ _Act = Callable[[FloatArray, FloatArray], Perturbation]
 
 
 def _to_the_right(heading_rad: FloatArray) -> FloatArray:
-    return np.asarray(-np.sin(heading_rad))
+    return -np.sin(heading_rad)
 
 
 class FloorSlope(Effect):
@@ -332,7 +332,7 @@ class FloorSlope(Effect):
     shifts = ("radius_scale",)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms by slope and pull; none where it is driven one way only, or headings share no zero."""
+        """See `Effect`."""
         if not common_frame(observations):
             return []
         heading = predict(observations).of_parts(map_heading_rad)

@@ -101,7 +101,7 @@ class LoadRadius(_OfLoad):
     carries_law_slope = True
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the linear law, one slope a wheel; none where the loads do not vary."""
+        """See `Effect`."""
         left, right = observations.loads_N
         if not loads_vary(observations):
             return []
@@ -125,7 +125,7 @@ class LoadRadiusNonlinear(_OfLoad):
     is_load_law = True
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return one form an exponent, one slope a wheel; none where the loads do not vary."""
+        """See `Effect`."""
         loads, reference = observations.loads_N, observations.model.reference_load_N
         if not loads_vary(observations):
             return []
@@ -231,7 +231,7 @@ class PayloadMass(_OfPayload):
     separates = "a third payload, weighed"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each of the (at most six) payloads driven most, and one for all; none without payloads."""
+        """See `Effect`."""
         payload = np.nan_to_num(observations.number("payload_kg"))
         values, counts = np.unique(np.round(payload[payload > 5e-4], 3), return_counts=True)
         values = np.sort(values[np.argsort(-counts, kind="stable")[:MAX_PAYLOADS]])
@@ -276,7 +276,7 @@ class PayloadPosition(_OfPayload):
     separates = "unladen runs beside laden ones"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form sideways and one lengthways; none without payloads."""
+        """See `Effect`."""
         weight_N = GRAVITY_MPS2 * np.nan_to_num(observations.number("payload_kg"))
         if not (weight_N > 0.0).any():
             return []

@@ -33,7 +33,7 @@ class PathWeave(Effect):
     separates = "the log within a run"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms by the noted amplitude and wavelength and one by the logs of outside simulations."""
+        """See `Effect`."""
         amplitude, wavelength = observations.number("amplitude_m"), observations.number("wavelength_m")
         noted = np.zeros(len(observations))
         weaves = ~observations.from_log & (amplitude > 0.0) & (wavelength > 0.0)
@@ -105,7 +105,7 @@ class IntegrationScheme(Effect):
     separates = "none: it is computed from the logs"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the end-point and the Euler form; none without an outside simulator's poses on turning runs."""
+        """See `Effect`."""
         posed = np.isfinite(observations.simulated[:, POSE]).all(axis=1) & observations.usable[:, Channel.ALONG]
         outside = observations.from_log & posed
         if not outside.any():
@@ -147,7 +147,7 @@ class BrakingSkid(Effect):
     zero_known = True
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""
+        """See `Effect`."""
         bends = observations.of_parts(lambda part: np.abs(quantities.curvature_per_m(part)[stops(part)]))
         if not len(bends):
             return []

@@ -107,7 +107,7 @@ def driven_speed_mps(observations: Observations) -> FloatArray:
     def mean(part: Observations) -> FloatArray:
         way = np.abs(part.path_m)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(part.total(way * np.abs(part.speed_mps)) / part.total(way))
+            return part.total(way * np.abs(part.speed_mps)) / part.total(way)
 
     logged = observations.of_parts(mean)
     logged = np.where(logged > 0.0, logged, np.nan)

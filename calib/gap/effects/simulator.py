@@ -78,7 +78,7 @@ class SimulatorParameter(Effect):
         self.title = simulator_title(parameter.name)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where it moves nothing, or on runs that the simulator was not asked for."""
+        """See `Effect`."""
         carried = self.carried
         moves = any(part.any() for part in (carried.left, carried.right, carried.track, carried.reading))
         if not moves or tuple(observations.labels["run_id"]) != carried.run_ids:
@@ -249,7 +249,7 @@ class HeldCalibration(Effect):
             setattr(self, name, getattr(effect, name))
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the forms of the effect itself."""
+        """See `Effect`."""
         forms = self.effect.forms(observations)
         signed = [[replace(one, sign=self.sign or one.sign) for one in form.parameters] for form in forms]
         return [replace(form, parameters=tuple(some)) for form, some in zip(forms, signed, strict=True)]

@@ -184,7 +184,7 @@ class _Dependence:
 def _share(explained: FloatArray, df: int, left: FloatArray, dof: FloatArray, beyond: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         residual = np.maximum(left / np.maximum(dof, 1.0), 1.0)
-        return np.asarray(np.clip(np.where(beyond > 0, (explained - df * residual) / beyond, 0.0), 0.0, 1.0))
+        return np.clip(np.where(beyond > 0, (explained - df * residual) / beyond, 0.0), 0.0, 1.0)
 
 
 def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> list[CovariateResult]:

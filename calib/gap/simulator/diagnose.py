@@ -269,4 +269,4 @@ def _spanned(
 
 def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:
     whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / path.s.sigma[:, :, None]
-    return np.asarray(whole[path.s.usable[:, :4]])
+    return whole[path.s.usable[:, :4]]
