@@ -227,7 +227,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     notes = [replace(one, level="wrong") if one.text.partition(" and ")[0] in lacking else one for one in notes]
     names = ("wrong", "suspicious", "info")
     levels = {level: tuple(dict.fromkeys(note for note in notes if note.level == level)) for level in names}
-    return CheckReport(campaign.name, campaign.simulated, summarise(campaign), **levels)
+    return CheckReport(campaign.name, campaign.simulated, _summarise(campaign), **levels)
 
 
 #: without these nothing can be learnt of wheels on a line
@@ -283,8 +283,7 @@ def runs_of_broken_counters(campaign: Campaign) -> tuple[str, ...]:
     return tuple(sorted({note.run_id for note in notes if note.run_id}))
 
 
-def summarise(campaign: Campaign) -> CampaignContents:
-    """Return what a campaign holds: runs, sessions, loads, spans and rates."""
+def _summarise(campaign: Campaign) -> CampaignContents:
     runs, logs = campaign.runs, campaign.logs
     duration = log_totals(logs, "t_s")
     rate = (logs.lengths - 1)[duration > 0] / duration[duration > 0]

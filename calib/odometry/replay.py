@@ -138,7 +138,7 @@ def replay(
         rms_heading_rad={by: float(np.sqrt(np.mean(errors[by].heading_rad[in_range] ** 2))) for by in METHODS},
         ratio=rms["constant"] / rms["corrected"],
         ratio_ci95=(float(low), float(high)),
-        runtime=NOT_FED if by_geometry else runtime_check(chosen, coefficients, runs=runtime_runs),
+        runtime=NOT_FED if by_geometry else _runtime_check(chosen, coefficients, runs=runtime_runs),
         left_out=left_out,
         by_geometry=by_geometry,
         notes=notes,
@@ -269,8 +269,7 @@ class RuntimeCheck:
 NOT_FED: Final = RuntimeCheck(0, 0, float("nan"), float("nan"), {})
 
 
-def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: int) -> RuntimeCheck:
-    """Feed the vehicle's runtime the logs of the first `runs` and compare all accepted samples with the arrays."""
+def _runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: int) -> RuntimeCheck:
     odometer = Odometer(Coefficients.parse(coefficients.to_bytes().decode("utf-8")))
     carried = np.stack(carried_loads_N(campaign), axis=1)
     faults: Counter[str] = Counter()

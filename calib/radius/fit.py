@@ -72,7 +72,7 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
         unchecked = fit_wheel(side, load, radius, radii.session, reference_load_N=reference_load_N)
         checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
         wheels.append(with_instrument_checks(checked, radii.distance_m, std, radii.session))
-    wheels = held_against_residuals(radii, wheels)
+    wheels = _held_against_residuals(radii, wheels)
     radii = replace(radii, budget=(*radii.budget, *effective.observed_components(radii, *wheels)))
     return Fit(name, simulated, wheels[0], wheels[1], radii, notes=radii.notes)
 
@@ -111,7 +111,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, n
         if not any(source.section == "path" for source in sources) and np.isnan(used.number("ref_theta_rad")).all():
             # two wheels' paths to a bow: b times its turn of 8 h / S, half of it each
             per_bow = 4.0 * campaign.vehicle.track_m * wheel.radius_m / radii.distance_m**2
-            wheel = with_path_check(wheel, float(per_bow.mean()), steered_itself_m(campaign))
+            wheel = _with_path_check(wheel, float(per_bow.mean()), steered_itself_m(campaign))
         wheels[name] = wheel
     static, notes = _static(campaign, reference)
     stated = (campaign.vehicle, campaign.encoder, campaign.model, campaign.rangefinder, campaign.reference)
@@ -237,7 +237,7 @@ def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Ch
     yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
 
 
-def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
+def _with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
     """Return `fit` with the check whether unmeasured paths are straight on the whole.
 
     `radius_per_bow`: what a bow of all runs moves the radius by; `apart_m`: see `steered_itself_m`.
@@ -289,7 +289,7 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     return replace(fit, checks=(*fit.checks, check))
 
 
-def held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
+def _held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
     """Return the wheels' fits, failed where runs scatter beyond instruments and paths and the loads do not say why.
 
     That is where the law leaves most of what the runs differ by, or another reading of the table leaves far less.

@@ -70,7 +70,7 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
         if "" in files:
             recording = _recording(path, shown, lines, mapping)
         else:
-            recording = gathered(files, lines, mapping)
+            recording = _gathered(files, lines, mapping)
             lines = resolved({name: line for name, line in lines.items() if name != "t_s"}, recording.column_names)
             _refuse_missing(recording.column_names, lines, shown, mapping)
         base = _wheel_stream(recording, lines, shown)
@@ -113,11 +113,7 @@ def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Record
     return recording
 
 
-def gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> Recording:
-    """Return a run's files as streams of a recording, columns called ``name:column``.
-
-    Raises BadFileError where a file has no times.
-    """
+def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> Recording:
     streams: list[Stream] = []
     notes: list[Note] = []
     for tag, path in files.items():

@@ -165,7 +165,7 @@ def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, b
         The table's name in messages, and what takes notes.
     """
     lines = resolved(mapping.table.columns, raw.columns)
-    raw = without_repeats(_without_end(raw, lines, shown, border), shown, border)
+    raw = _without_repeats(_without_end(raw, lines, shown, border), shown, border)
     factors: dict[str, float] = {}
     columns: dict[str, npt.NDArray[Any]] = {}
     for name, line in lines.items():
@@ -237,8 +237,7 @@ def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> n
     return object_array(values)
 
 
-def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
-    """Return the table without repeated rows, each noted."""
+def _without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
     first: dict[tuple[str, ...], int] = {}
     keep = np.ones(len(raw.line), dtype=np.bool_)
     for index, (line, *row) in enumerate(zip(raw.line.tolist(), *raw.columns.values(), strict=True)):

@@ -59,7 +59,7 @@ def _shown_by(path: Path, others: BoolArray) -> FloatArray:
     return np.array([slope(*each) for each in zip(path.rolling_radii_m.T, path.s.wheel_loads_N, strict=True)])
 
 
-def payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
+def _payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
     """Return what the reported payload adds to the left and right wheel, each shape (n_obs,) (Eqs 1 and 2)."""
     payload = np.nan_to_num(observations.number("payload_kg"))
     x, y = observations.number("payload_x_m"), observations.number("payload_y_m")
@@ -235,7 +235,7 @@ class PayloadMass(_OfPayload):
         payload = np.nan_to_num(observations.number("payload_kg"))
         values, counts = np.unique(np.round(payload[payload > 5e-4], 3), return_counts=True)
         values = np.sort(values[np.argsort(-counts, kind="stable")[:MAX_PAYLOADS]])
-        added_left, added_right = payload_load_N(observations)
+        added_left, added_right = _payload_load_N(observations)
         has_slopes = bool(_model_slopes(observations).any())
         together = len(values) > 1 and has_slopes
 

@@ -96,7 +96,7 @@ class SteeringZero(Effect):
         if not has_front(observations).any():
             return []
         parameter = Parameter("zero", "rad", typical=8e-3, largest=3.5e-2)
-        error = angle_error(observations, np.ones(len(observations.unit)), straight_ahead_rad(observations))
+        error = angle_error(observations, np.ones(len(observations.unit)), _straight_ahead_rad(observations))
         return [Form(self.id, "", (parameter,), always(error))]
 
 
@@ -107,7 +107,7 @@ def steering_blunder(observations: Observations) -> str:
         return ""
     rolled, turned_rad = observations.total(front_travel_m(observations)), observations.measured[:, Channel.HEADING]
     still = still_steering(steer_rad(observations), rolled[headed], turned_rad[headed], observations.run[headed])
-    found_rad = straight_ahead_rad(observations)
+    found_rad = _straight_ahead_rad(observations)
     if still or abs(found_rad) <= FARTHEST_STRAIGHT_RAD:
         return still
     return (
@@ -116,7 +116,7 @@ def steering_blunder(observations: Observations) -> str:
     )
 
 
-def straight_ahead_rad(observations: Observations) -> float:
+def _straight_ahead_rad(observations: Observations) -> float:
     """Return the angle read straight ahead where it is large and drives the odometry; 0 where not."""
     headed = observations.usable[:, Channel.HEADING] & has_front(observations)
     if not observations.by_front:
