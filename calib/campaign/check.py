@@ -213,8 +213,8 @@ class CheckReport:
 def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckReport:
     """Run every check; nothing is changed.
 
-    `campaign`: read leniently, so that faults of single runs are among its notes. Reported are these and the checks'
-    notes; of runs flagged as excluded, faults alone.
+    `campaign`: read leniently, so that faults of single runs are among its notes; of runs flagged as excluded faults
+    alone are reported.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
     found, kept = _taken_apart(campaign.included())

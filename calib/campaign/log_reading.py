@@ -113,11 +113,9 @@ MANY_BYTES: Final = 16 << 20
 def read_logs(
     files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: Border, *, progress: Progress = silent
 ) -> tuple[Logs, dict[str, str]]:
-    """Read the logs of a campaign and undo the overflow of their counters.
+    """Return logs end to end, their counters' overflow undone, and the SHA-256 of each by name.
 
-    Returns the logs end to end, and the SHA-256 of each by name.
-
-    Without ``wrap_bits`` overflows are looked for; a log that cannot be used is a fault; see `LogStack`.
+    A log that cannot be used is a fault; see `LogStack`.
     """
     stack = LogStack(n_runs)
     hashes: dict[str, str] = {}
@@ -141,7 +139,9 @@ def _read_all(files: Sequence[LogFile]) -> Iterator[_ReadLog]:
     read = partial(_read_some, cache=cache, together=together)
     size = 1 if large else TOGETHER
     batches = [files[first : first + size] for first in range(0, len(files), size)]
-    threads = min(MOST_THREADS if large else 2, _processors()) if together and len(files) >= MANY else 1
+    # a container may be given fewer than there are
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    threads = min(MOST_THREADS if large else 2, processors) if together and len(files) >= MANY else 1
     if threads == 1:
         yield from chain.from_iterable(map(read, batches))
     else:
@@ -188,11 +188,6 @@ def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) 
             _keep(place, log)
         logs[number] = log
     return [logs[number] for number in range(len(files))]
-
-
-def _processors() -> int:
-    # a container may be given fewer than there are
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _sha256(path: Path) -> str:

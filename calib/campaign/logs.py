@@ -38,9 +38,8 @@ LATE_START_S: Final = 1.0
 def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list[LogFile]":
     """Return the logs that there are, in the order of the runs.
 
-    `runs`: names the logs, else they are ``logs/<run_id>.csv`` or of another format; `shown`: the run table's name in
-    messages; `border`: takes what is missing or named twice as faults. Raises BadFileError where a path leads out of
-    the folder, or, for a border that is not lenient, at the first fault.
+    Runs without a named one have ``logs/<run_id>.csv`` or of another format; `shown`: the run table's name in messages;
+    `border`: takes what is missing or named twice as faults. Raises BadFileError where a path leads out of the folder.
     """
     plain, suffixes = _plain_logs(folder), READERS if (folder / "logs").exists() else ()
     files: list[LogFile] = []
@@ -257,9 +256,9 @@ def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray
 
 
 def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: FloatArray) -> FloatArray:
-    """Return how many full counters to add to `total` to meet `expected`; 0 where none fits.
+    """Return how many full counters to add to `total` to meet `expected` within `tolerance`; 0 where none fits.
 
-    Whole numbers, shape (n_runs,) as `total`, `expected`, and `tolerance`: how far these may be apart.
+    All of shape (n_runs,).
     """
     full = 2.0**bits
     turns = np.rint((expected - total) / full)
@@ -302,7 +301,7 @@ class LogStack:
     def finished(self, encoder: Encoder, names: Mapping[int, tuple[str, str]], border: Border) -> Logs:
         """Return all runs' logs, end to end, their counters' overflow undone; the stack is empty afterwards.
 
-        `encoder`: without ``wrap_bits`` overflows are looked for; `names`: run id and name of the log, for messages.
+        Without ``wrap_bits`` overflows are looked for; `names`: run id and name of the log, for messages.
         """
         offsets = np.concatenate(([0], np.cumsum(self._lengths))).astype(np.int64)
         columns = LogColumns(self._size, len(self._columns))

@@ -35,9 +35,9 @@ _FALSE: Final = ("false", "0", "0.0", "no", "n", "", "-")
 
 
 def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
-    """Recognise columns, convert units, and check what later stages rely on.
+    """Return the runs in the file's order, columns recognised and in SI units.
 
-    Rows in the file's order, SI units. Raises BadFileError where run_id is missing, a cell is no number, or (not
+    Raises BadFileError where run_id is missing, a cell is no number, or (not
     lenient) a run_id repeats.
     """
     matched, line = _match(raw, shown, border), raw.line

@@ -220,13 +220,10 @@ SPEEDS: Final = ("speed_left_mps", "speed_right_mps", "speed_rear_mps", "v_mps",
 
 
 def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) -> Logs:
-    """Return the logs with the counts that the logged speeds amount to.
+    """Return the logs with the counts that the logged speeds amount to, by trapezoids; logged counts are kept.
 
-    A speed is the wheel's rate times its nominal radius; ``v_mps`` and ``omega_radps`` of a vehicle's own odometry are
-    the speeds v -+ omega track / 2 of its wheels. Between samples a speed changes linearly (trapezoids). Counts that
-    were logged are kept.
-
-    `vehicle`: by whose nominal radius and track it computed its speeds; `border` takes what was done.
+    ``v_mps`` and ``omega_radps`` are the speeds v -+ omega track / 2 of the wheels. `vehicle`: by whose nominal radius
+    and track it computed its speeds; `border` takes what was done.
     """
     columns = dict(logs.columns)
     for name, speed_mps in _wheel_speeds(columns, vehicle):
@@ -272,8 +269,8 @@ MIN_GUIDED_RUNS: Final = 5
 def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray, posed: BoolArray) -> BoolArray:
     """Return which observations were guided along a line, by what was measured alone, shape (n_obs,) as all.
 
-    `distance_m`: NaN where not measured; `path_m`, `apart_m`: what the wheels rolled, and the right one beyond the
-    left; `posed`: with a measured end pose or heading.
+    `path_m`, `apart_m`: what the wheels rolled, and the right one beyond the left; `posed`: with a measured end pose or
+    heading.
     """
     way = np.abs(path_m)
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -188,7 +188,6 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
 
 
 def _coarse_step(values: FloatArray, resolution: float) -> float | None:
-    """Return the step that all values are multiples of apart, where far above a resolution."""
     found, times = np.unique(values[np.isfinite(values)][:MOST_POSES], return_counts=True)
     steps = np.diff(found)
     repeated = len(steps) > 0 and int(times[times > 1].sum()) >= max(REPEATED_VALUES, MOST_REPEATED * times.sum())

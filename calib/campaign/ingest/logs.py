@@ -54,10 +54,9 @@ class MappedLog:
 def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encoder, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
-    `files`: one file, or a rosbag2 folder, under an empty name; or the files that a run's log consists
-    of, by the names that ``log.files`` gives them. `encoder`: counts a revolution, and the counter's width where it is
-    known; `border`: takes notes. Raises BadFileError where a column that the mapping names is missing, or the file has
-    no clock or no wheels.
+    `files`: one file, or a rosbag2 folder, under an empty name; or the files of a run by the names of ``log.files``;
+    `border`: takes notes. Raises BadFileError where a column that the mapping names is missing, or the file has no
+    clock or no wheels.
     """
     path = next(iter(files.values()))
     shown = str(path)

@@ -307,8 +307,8 @@ _Parsed = TypeVar("_Parsed", bound=BaseModel)
 def parse_section(model: type[_Parsed], section: object, shown: str, where: str) -> _Parsed:
     """Check one section of a mapping.
 
-    `section`: as TOML gives it; `shown`, `where`: names of mapping and section in messages. Raises BadFileError where
-    it is no section, or at the first key that cannot be used.
+    `shown`, `where`: names of mapping and section in messages. Raises BadFileError where it is no section, or at the
+    first key that cannot be used.
     """
     if not isinstance(section, dict):
         raise BadFileError(shown, repr(section)[:60], f"a section [{where}]", "correct the mapping", column=where)

@@ -158,7 +158,6 @@ def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, b
     Parameters
     ----------
     raw, mapping
-        The table, and the lines for it.
     encoder
         Turns angles of the wheels into counts.
     shown, border
@@ -251,10 +250,7 @@ def _without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
 def match_logs(
     runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border
 ) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
-    """Find the log of each run.
-
-    By number of the run: its files by the names of ``log.files``, a single one under an empty name; and the
-    name of a missing log.
+    """Return each run's files by the names of ``log.files``, a single one under an empty name; and missing logs' names.
 
     Raises BadFileError where no run finds its log although there are files, or a run finds two; for the table
     see `mapped_runs`.
