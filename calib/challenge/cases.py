@@ -283,7 +283,7 @@ def _log_evidence(spaces: Sequence[_Space], n_effects: int, readings: FloatArray
 
 
 def _log_likelihood(space: _Space, readings: FloatArray, signal: float) -> FloatArray:
-    """Return the log likelihood ratio (n,) of a signal: Gamma(k/2) (2/z)^(k/2-1) I_(k/2-1)(z) in k dimensions."""
+    # Gamma(k/2) (2/z)^(k/2-1) I_(k/2-1)(z) in k dimensions
     from scipy.special import gammaln, ive
 
     inside = readings @ space.basis

@@ -77,10 +77,9 @@ def _root(falling: Callable[[float], float], high: float) -> float:
 
 
 def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value.
+    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value by Student's t.
 
-    Median and median deviation find those that may stand apart; mean and spread of the others, better known, judge all
-    by Student's t.
+    Median and median deviation find those that may stand apart; mean and spread of the others, better known, judge all.
     """
     from scipy.special import stdtr
 

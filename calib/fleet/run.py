@@ -88,7 +88,7 @@ Vehicle = tuple[str, Sequence[Kept]]
 
 
 def records_of(vehicles: Sequence[Vehicle]) -> list[VehicleRecord]:
-    """Return vehicles' records."""
+    """See `record_of`."""
     return [record_of(name, [PartSums.from_dict(kept.values()) for kept in parts]) for name, parts in vehicles]
 
 

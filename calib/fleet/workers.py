@@ -52,7 +52,7 @@ def engine(workers: int = 1, scheduler: str = "") -> "Iterator[Engine]":
 def batches(
     items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
 ) -> list[Sequence[Item]]:
-    """Cut items into batches in order; for `weigh` see `Engine.run`.
+    """Cut items into batches in order; see `Engine.run`.
 
     `largest`, `smallest`: work in a batch, but for a single larger item and the last.
     """
@@ -116,9 +116,8 @@ class Engine:
     ) -> Iterator[Result]:
         """Run a task on all items and yield the results as they come, one an item.
 
-        Items of a worker that dies are tried again one by one. `task`: a module's function, from items to a result for
-        each; `given_up`: makes the result of an item that took its worker down twice, from item and reason; `weigh`:
-        work that an item is.
+        Items of a worker that dies are tried again one by one. `task`: a module's function; `given_up`: makes the
+        result of an item that took its worker down twice, from item and reason; `weigh`: work that an item is.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []

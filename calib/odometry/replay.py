@@ -230,7 +230,7 @@ def carried_loads_N(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
 def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact") -> tuple[Poses, FloatArray]:
     """Return the poses (n_samples,) of logs without rear wheels, each run from (0, 0, 0), and each step's way.
 
-    The model has front wheel or four wheels. The way, also sideways, is 0 at the first sample of a run.
+    The way, also sideways, is 0 at the first sample of a run.
     """
     axle = on_one_axle(campaign, model)
     columns, offsets = axle.logs.columns, axle.logs.offsets

@@ -264,7 +264,7 @@ class _Runs:
 
 
 def _within(values: FloatArray, most: float) -> FloatArray:
-    """Return values within +-`most`; on short arrays three times as fast as `np.clip`."""
+    # on short arrays three times as fast as np.clip
     return np.asarray(np.minimum(np.maximum(values, -most), most))
 
 

@@ -304,7 +304,7 @@ class Alternatives:
     driven: Strength  #: of the cause first, then of each variant
 
     def families(self) -> dict[tuple[str, str], list[int]]:
-        """Return the numbers of the variants that add up to one form of one effect; the cause is number 0."""
+        """Return the numbers of the variants of each form of an effect; the cause is number 0."""
         # one wheel or the other, never both
         numbered = enumerate(self.variants, start=1)
         return grouped(((one.effect, f"{one.form}{one.knobs.get('right', '')}"), number) for number, one in numbered)

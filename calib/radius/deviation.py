@@ -57,8 +57,7 @@ def arc_of_radii_rad(
 ) -> FloatArray:
     """Return the turn of a vehicle that holds equal wheel rates on wheels of unequal radii (Fig. 8a).
 
-    `distance_m`: path of the middle of the axle; `radius_left_m`, `radius_right_m`: true radii of wheels that the
-    vehicle takes for equal. Left turns are positive.
+    `distance_m`: path of the middle of the axle; the radii are the true ones. Left turns are positive.
     """
     left, right = floats(radius_left_m), floats(radius_right_m)
     return np.asarray(floats(distance_m) * 2 * (right - left) / ((right + left) * track_m))

@@ -238,10 +238,7 @@ def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Ch
 
 
 def _with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
-    """Return `fit` with the check whether unmeasured paths are straight on the whole.
-
-    `radius_per_bow`: what a bow of all runs moves the radius by; `apart_m`: see `steered_itself_m`.
-    """
+    # radius_per_bow: what a bow of all runs moves the radius by
     moved, level = f"{UM * 0.01 * radius_per_bow:.2g} um", NOTE
     sentence = (
         "No run's heading at the end was measured: the paths are taken for straight. A bow of 1 cm, the same in all "
@@ -326,10 +323,7 @@ def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
 
 
 def _other_reading(radii: EffectiveRadii) -> str:
-    """Return the readings of the table that explain both wheels' radii best; empty where chance may be as good.
-
-    Chance: the ratio of the squares to the power of half their degrees of freedom (of one wheel), times the readings.
-    """
+    # chance: the ratio of the squares to the power of half their degrees of freedom (of one wheel), times the readings
     loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
     radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))
     days, n = groups_of(radii.session).indicators, len(loads)

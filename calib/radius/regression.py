@@ -366,7 +366,7 @@ def _cosine(one: FloatArray, other: FloatArray) -> float:
 
 
 def _shared(one: FloatArray, other: FloatArray, alike: float) -> FloatArray:
-    """Return the covariance (2, 2) of fully correlated errors; `alike`: correlation of the loads."""
+    # of fully correlated errors, (2, 2); alike: correlation of the loads
     slopes, sizes = [], []
     for own in (one, other):
         slope = own[:, 1] / np.sqrt(own[1, 1]) if own[1, 1] > 0.0 else np.zeros(2)

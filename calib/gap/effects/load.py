@@ -37,10 +37,7 @@ def _model_slopes(observations: Observations) -> FloatArray:
 
 
 def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
-    """Return the slopes of the left and right radius against load, shape (2,).
-
-    The model's, else the hypothesis' `own` (2,). Without either a payload does nothing.
-    """
+    # the model's, else the hypothesis' own; without either a payload does nothing
     slopes = _model_slopes(path.s)
     if slopes.any() or path.perturbation.law_slopes is None:
         return slopes

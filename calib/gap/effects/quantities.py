@@ -168,7 +168,7 @@ def end_motion(observations: Observations, *, at_start: bool = False) -> tuple[F
 
 
 def _motion_at(observations: Observations, age: FloatArray, edge: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return speed and turn rate at the edge; `age`: time from it to each step, s."""
+    # age: time from the edge to each step, s
     with np.errstate(invalid="ignore"):
         late, early = age < END_STRETCH_S, (age >= END_STRETCH_S) & (age < 2 * END_STRETCH_S)
     late[edge] = True

@@ -117,7 +117,6 @@ def steering_blunder(observations: Observations) -> str:
 
 
 def _straight_ahead_rad(observations: Observations) -> float:
-    """Return the angle read straight ahead where it is large and drives the odometry; 0 where not."""
     headed = observations.usable[:, Channel.HEADING] & has_front(observations)
     if not observations.by_front:
         return 0.0
@@ -219,10 +218,8 @@ def _noise_rad(observations: Observations, angle: FloatArray) -> float:
 
 
 def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
-    """Return the steering angle that the rear wheels' turn tells, shape (n_steps,); NaN where the vehicle hardly moves.
-
-    By a line through the headings to either side, less the median on the straight.
-    """
+    # as the rear wheels' turn tells, by a line through the headings to either side, less the median on the straight;
+    # NaN where the vehicle hardly moves
     steered = np.concatenate([_bend_rad(part) for part in observations.parts()])
     straight = (np.abs(angle) < TURN_ANGLE_RAD) & np.isfinite(steered)
     return steered - (np.median(steered[straight]) if straight.any() else 0.0)
@@ -260,10 +257,7 @@ def _side_by_side(observations: Observations) -> tuple[IntArray, IntArray]:
 
 
 def _lost_in_play(observations: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:
-    """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
-
-    A recursion by steps, over all units at once. A play below `least` is taken up by the last move above the noise.
-    """
+    # the play starts in its middle; below `least` it is taken up by the last move above the noise
     wide = max(play, least)
     index, step = _side_by_side(observations)
     through = angle[index]
@@ -316,10 +310,7 @@ class SteeringDelay(Effect):
 
 
 def _moves_within(observations: Observations, values: FloatArray, rate: FloatArray, delay_s: float) -> FloatArray:
-    """Return by how much a step quantity moves within a delay, shape (n_steps,).
-
-    Past a run's end at its last rate; before its start it stood still.
-    """
+    # past a run's end at its last rate; before its start it stood still
     middle = observations.time_s - 0.5 * observations.duration_s
     if not np.isfinite(middle).all():
         return rate * delay_s

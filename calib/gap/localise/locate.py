@@ -199,10 +199,8 @@ def _times(observations: Observations, unit: int) -> dict[str, float]:
 
 
 def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
-    """Return the table, smallest p first, held by Holm's steps to its chance of any false line.
-
-    Importing statsmodels takes longer than all this.
-    """
+    """Return the table, smallest p first, held by Holm's steps to its chance of any false line."""
+    # importing statsmodels takes longer
     # rounding must not order covariates that vary alike
     ordered = sorted(lines, key=lambda line: (float(f"{line.p_value:.9g}"), -float(f"{line.share:.9g}")))
     stepped = [line.p_value * (len(ordered) - number) for number, line in enumerate(ordered)]
@@ -213,11 +211,8 @@ def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
 def _find_places(
     campaign: Campaign, observations: Observations, rng: np.random.Generator
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
-    """Say where inside the runs the gap opens, smallest p first, and what cannot be asked of these runs.
-
-    Beside each run's offset and slope: on a stretch over which it grows in all runs of a route, in turns or straights,
-    at stops. p values are multiplied by the number of places.
-    """
+    # beside each run's offset and slope: on a stretch over which the gap grows in all runs of a route, in turns or
+    # straights, at stops; p values are multiplied by the number of places
     traces = traces_of(campaign.included(), observations)
     if not traces:
         note = "no log has a continuous reference or range_m: where inside a run the gap opens cannot be determined"

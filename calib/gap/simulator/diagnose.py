@@ -197,10 +197,7 @@ def _candidates(
     exclude: Sequence[str],
     campaign: Campaign,
 ) -> tuple[list[Effect], tuple[str, ...]]:
-    """Return parameters and effects of the library beside them, with notes.
-
-    Effects that parameters replace or, of the calibration, reproduce are left to these: a parameter can be set.
-    """
+    # what parameters replace or, of the calibration, reproduce is left to these: a parameter can be set
     nominal = predict(observations)
     own = [effect for effect in differences.effects(settings, nominal) if effect.id not in exclude]
     idle = [effect.parameter.name for effect in own if not effect.forms(observations)]

@@ -354,7 +354,7 @@ def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> floa
 
 
 def _distance_axis(tables: list[FloatArray]) -> float | None:
-    """Return `Differences.axis`; straight runs alone do not tell."""
+    # straight runs alone do not tell
     distance, x, y, _ = np.concatenate(tables).T
     known = np.isfinite(distance + x + y)
     if not known.any():
