@@ -256,8 +256,8 @@ def _together(notes: Iterable[Note]) -> list[Note]:
 def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str, ...]:
     """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none.
 
-    `of_loads`: with what is said of payloads, wheel loads and values that nobody stated, none of which makes runs end
-    off by a share of their length.
+    `of_loads`: also of payloads, wheel loads and values that nobody stated: none makes runs end off by a share of their
+    length.
     """
     kept = _taken_apart(campaign.included())[1]
     checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]

@@ -139,9 +139,7 @@ def _read_all(files: Sequence[LogFile]) -> Iterator[_ReadLog]:
     read = partial(_read_some, cache=cache, together=together)
     size = 1 if large else TOGETHER
     batches = [files[first : first + size] for first in range(0, len(files), size)]
-    # a container may be given fewer than there are
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    threads = min(MOST_THREADS if large else 2, processors) if together and len(files) >= MANY else 1
+    threads = min(MOST_THREADS if large else 2, _processors()) if together and len(files) >= MANY else 1
     if threads == 1:
         yield from chain.from_iterable(map(read, batches))
     else:
@@ -188,6 +186,11 @@ def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) 
             _keep(place, log)
         logs[number] = log
     return [logs[number] for number in range(len(files))]
+
+
+def _processors() -> int:
+    # a container may be given fewer than there are
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _sha256(path: Path) -> str:

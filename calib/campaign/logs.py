@@ -156,8 +156,7 @@ def add_recognised(
             continue
         if match.name in columns:
             raise second_column(match, found, shown)
-        if match.said:
-            border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
+        border.recognised(shown, match)
         time = found if match.name == "t_s" else time
         columns[match.name] = converted(cells, match.factor, match.offset)
     return time

@@ -257,10 +257,7 @@ def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatAr
 
 
 def second_column(match: Recognised, column: str, shown: str) -> BadFileError:
-    """Return the error of a second column of the same meaning.
-
-    `column`: its name in the file.
-    """
+    """Return the error of a second column of the same meaning."""
     return BadFileError(
         shown, f"a second column for {match.name}", "one", "remove or rename one of them", row=1, column=column
     )

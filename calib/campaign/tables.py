@@ -138,8 +138,7 @@ def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
         if match.name in matched:
             raise second_column(match, found, shown)
         matched[match.name] = match
-        if match.said:
-            border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
+        border.recognised(shown, match)
         if match.unitless:
             text = f"names no unit and is not used as {match.unitless}; rename it to the unit it is in"
             border.say(f"{shown}, column {found}", text, "no_unit", level="suspicious")
@@ -243,8 +242,8 @@ def write_campaign(
     campaign, folder, force
         What is written and where (other files there stay); whether it replaces a campaign there.
     log_decimals
-        Decimals of log columns, for example ``{"range_m": 4}``. Without it every number is written so that it reads
-        back exactly, and times to the nanosecond.
+        Decimals of log columns, for example ``{"range_m": 4}``; others are written so that they read back exactly, and
+        times to the nanosecond.
     beside
         Further files of the same generation by their name in the folder: ``ingest.json``, ``recordings/...``.
     """

@@ -78,8 +78,7 @@ def _lacks_rear(campaign: Campaign) -> bool:
 def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campaign:
     """Return the campaign with the counts that two wheels on one axle would have had.
 
-    Without rear wheels the other wheels move the axle's middle, written as counts of two wheels of the model's radii
-    and track; what mecanum wheels roll to the side is the column `ASIDE`.
+    They are of the model's radii and track; what mecanum wheels roll to the side is the column `ASIDE`.
 
     `model`: the campaign's own by default; its `front` or `mecanum` part takes the place of the vehicle's nominal
     lengths. Raises BadInputError where a mecanum vehicle does not say its l + w.
@@ -202,9 +201,7 @@ def lengthening(over: FloatArray) -> FloatArray:
 def shaft_motion(model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray, t_s: FloatArray) -> Motion:
     """Return what the rear axle's middle moves ahead and to the left (m) and turns (rad) in each step, Ackermann drive.
 
-    The axle's middle goes what the rear wheels roll, at the curvature tan(angle) / wheelbase, less by the model's slip.
-
-    `rolled_rad` (shape (n,)): since the sample before; `steer_rad`, `t_s` (shape (n,)): at the samples.
+    At the curvature tan(angle) / wheelbase, less by the model's slip. Shapes as for `front_motion`.
     """
     tangent = np.tan(model.scale * steer_rad + model.zero_rad)
     before = np.concatenate((tangent[:1], tangent[:-1]))

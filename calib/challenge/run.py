@@ -136,7 +136,7 @@ def run(
 ) -> Ran:
     """Diagnose the cases of a set that have no verdict yet, of the first `limit`; see `calib.challenge.seal.make`.
 
-    A `diagnoser` in place of the library's runs in this process.
+    A `diagnoser` of one's own runs in this process.
     """
     cases = list(read_public(folder)["cases"].items())[:limit]
     waiting = [

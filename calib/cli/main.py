@@ -198,8 +198,8 @@ def run(
 ) -> int:
     """Run the command line and return its exit status.
 
-    ``settle``, called before the last line is printed, and ``interrupted`` tell whether the user interrupted the
-    command: libraries may turn an interruption into an error of their own, or let it pass.
+    ``settle``, called before the last line is printed, and ``interrupted`` tell whether the user interrupted: libraries
+    may turn that into an error of their own, or let it pass.
     """
     _reopen()
     # figures go to files only, no matter what window system the environment asks for

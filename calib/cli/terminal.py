@@ -206,7 +206,7 @@ def keep(text: str) -> None:
 def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
     """Give a function ``(done, total, stage)`` that shows progress on standard error, where that is a terminal.
 
-    Before the first stage is named, a sign of life alone is shown; a total of 0 means that nobody knows it.
+    Before the first stage a sign of life alone is shown; a total of 0 means that nobody knows it.
     """
     if not sys.stderr.isatty():
         yield lambda _done, _total, _stage: _heed()

@@ -169,10 +169,7 @@ def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
 
 
 def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng: np.random.Generator) -> list[Cause]:
-    """Return causes with all their knobs drawn.
-
-    A truth may be effect (or ``effect/form``) -> size; a size that is not a number takes the typical one.
-    """
+    """Return causes with all their knobs drawn; for `truth` see `make_campaign`."""
     if not isinstance(truth, Mapping):
         return list(truth)
     causes = []

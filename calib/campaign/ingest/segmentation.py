@@ -55,8 +55,7 @@ def segment_recordings(
 
     Raises BadFileError where there are not as many segments as rows.
 
-    `runs`: in the order driven (None: numbered), as `recordings`; `table`: as read, for columns of times; see
-    `find_runs`.
+    `runs`: in the order driven (None: numbered), as `recordings`; `table`: as read, for times; see `find_runs`.
     """
     cut = mapping.cut or Segmentation()
     if cut.by == "times" and cut.start and table is not None:

@@ -259,9 +259,8 @@ def table_rows(
     names, n_rows
         Of the columns, and how many of the rows are the header.
     rows, lines
-        Cells as read, the header's first; their rows in the file, counted from 1.
+        Cells as read, the header's first; their rows in the file, from 1.
     layout, shown
-        Whether the file is a laboratory's, and its name in messages.
     """
     heads, rows, lines = [_without_end(_texts(row)) for row in rows[:n_rows]], rows[n_rows:], lines[n_rows:]
     if not layout.lab:

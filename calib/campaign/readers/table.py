@@ -204,11 +204,10 @@ def numbers(
     Parameters
     ----------
     cells, line : shape (n_rows,)
-        Text, numbers or None, and their lines.
     shown, column
-        File and column, for messages.
+        For messages.
     decimal_comma
-        What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
+        What the rest of the file says; None where nothing is known, and then ``1,234`` is refused.
     notes
         Added to.
     """

@@ -248,8 +248,7 @@ def corrected(observations: Observations, fault: Blunder) -> Observations:
 def bad_runs(nominal: Path) -> dict[str, float]:
     """Return the few runs that end off by a share of their length that no others come near, by id, each its share.
 
-    A counter that was reset or stood still, or a reference of another drive: not windows, and nothing that all runs of
-    a route share.
+    A counter that was reset or stood still, or a reference of another drive.
     """
     # a counter that jumps makes its own run long
     off, kind = misfit(nominal, by_kind=True), nominal.s.labels["kind"]

@@ -228,10 +228,7 @@ class Entry:
 
 
 def catalogue(nominal: Path, declared: object = (), only: Collection[str] = ()) -> list[Entry]:
-    """Return the effects that runs can be judged by, those of the ids `only` or all.
-
-    In order: the library, columns of the run table, declared effects, installed packages.
-    """
+    """Return the effects that runs can be judged by, those of the ids `only` or all, in the order of `library`."""
     every = every_effect(nominal.s, declared=declared)
     for name in only:
         if name not in every:
@@ -273,10 +270,7 @@ def model_of(path: FilePath | str, campaign: Campaign) -> "tuple[OdometryModel, 
 
 
 def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:
-    """Return the campaign with the reference's sensor where a geometry in a coefficient file found it.
-
-    Without one the campaign's own statement holds.
-    """
+    """Return the campaign with the reference's sensor where a geometry in a coefficient file found it."""
     from calib.coefficients.file import load_coefficients
 
     return replace(campaign, reference=load_coefficients(path).sensor(campaign.reference))
@@ -335,8 +329,7 @@ def applied_perturbations(
 ) -> tuple[list[Perturbation], list[str]]:
     """Return what written-down effects do, times their sizes, and notes on what could not be applied.
 
-    Effects are looked up by id, form and settings, parameters by name. A covariate's deviation is from the mean in the
-    file. They act about `path`, by default the path that they give.
+    A covariate's deviation is from the mean in the file. They act about `path`, by default the path that they give.
     """
     everywhere = replace(observations, applied=True)
     effects = every_effect(everywhere, declared=declared)

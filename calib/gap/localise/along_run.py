@@ -170,9 +170,7 @@ def scan_route(
 
     Parameters
     ----------
-    kind, traces, rng
-    channel
-        Along or heading.
+    kind, traces, channel, rng
     signed
         Look for a gap of the other sign on the way back.
     """

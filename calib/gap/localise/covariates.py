@@ -85,6 +85,8 @@ def covariate_test(
 ) -> CovariateResult | None:
     """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
 
+    Returned is the channel of the smallest p, times the number of channels; not yet held to the table's error.
+
     Parameters
     ----------
     name
@@ -94,12 +96,7 @@ def covariate_test(
     weights : shape (n_draws, n_units)
         How often the bootstrap draws each unit.
     most_dof
-        How well the noise level is known.
-
-    Returns
-    -------
-    CovariateResult or None
-        The channel of the smallest p, times the number of channels; not yet held to the table's error.
+        Of the noise level.
     """
     found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
     if not found:

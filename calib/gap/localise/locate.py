@@ -119,9 +119,8 @@ def locate(
 ) -> GapLocation:
     """Say where the gap lies, and what its causes leave.
 
-    Every covariate is tested in every channel by an F test of the gap over its noise level; a covariate's smallest p is
-    multiplied by the channels looked at, and Holm's steps hold the table to one chance in twenty of any false finding.
-    Shares have bootstrap intervals over units.
+    Every covariate is tested in every channel, see `covariate_test`; Holm's steps hold the table to one chance in
+    twenty of any false finding. Shares have bootstrap intervals over units.
 
     Parameters
     ----------

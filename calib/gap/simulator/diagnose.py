@@ -54,11 +54,9 @@ def diagnose_simulator(
 ) -> SimulatorDiagnosis:
     """Diagnose the gap between what was measured and the user's simulator.
 
-    It runs at its nominal parameters (twice unless it repeats itself), with each a step off, and with the fix; the
-    verdict is among parameters and library.
-
-    For parameters see `calib.api.results.diagnose`; `exclude` takes ``simulator:NAME`` too. Raises CalibError where the
-    simulator fails, hangs, writes nonsense, or predicts nothing measured.
+    The verdict is among its parameters and the library. For parameters see `calib.api.results.diagnose`; `exclude`
+    takes ``simulator:NAME`` too. Raises CalibError where the simulator fails, hangs, writes nonsense, or predicts
+    nothing measured.
     """
     if campaign.root is None or not (campaign.root / "campaign.toml").is_file():
         raise BadInputError(

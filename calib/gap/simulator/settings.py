@@ -198,8 +198,8 @@ _BLUNDERS: Final = {
 def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
     """Return in words what a simulator writes wrongly; empty where its ends are about the counts'.
 
-    `table`, `own`: ends (n_runs, 4) at nominal parameters, and by the campaign's model and counts; `most`: share
-    of way and turn by which these may differ on average: vehicles differ by less.
+    `table`, `own`: ends (n_runs, 4) at nominal parameters, and by the campaign's model and counts; `most`: share of way
+    and turn by which these may differ on average.
     """
     length = np.maximum(np.hypot(own[:, 1], own[:, 2]), np.maximum(np.nan_to_num(own[:, 0]), 0.5))
 
