@@ -147,7 +147,7 @@ def add_recognised(
 
     Raises BadFileError where two columns mean the same.
 
-    `columns`: by calib's names, changed in place; `mapped`: columns of `raw` to pass over; see `RawTable`.
+    `columns`: changed in place; `mapped`: columns of `raw` to pass over; see `RawTable`.
     """
     time, given = "t_s", set(columns)
     for found, cells in raw.columns.items():
@@ -214,9 +214,7 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray |
     """Find the width of a counter that overflows inside the logs.
 
     All counts lie in one span of the counter, and each jump, undone, is a step like the others, as a reset is not. A
-    step over a gap in time may hold the counts of as many usual steps.
-
-    13, 16 or 32, or None where nothing overflows; for shapes see `unwrap`.
+    step over a gap in time may hold the counts of as many usual steps. For shapes see `unwrap`.
     """
     if not len(counts) or np.isnan(counts).all():
         return None

@@ -48,11 +48,10 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     """Read a campaign.
 
     `folder`: holds ``campaign.toml``, ``runs.csv`` (or ``.xlsx``, ``.parquet``) and the logs that the table names, or
-    ``logs/<run_id>.csv`` where it names none; `logs`: read the logs too; `lenient`: keep faults of single runs (a run
-    id twice, a log missing or damaged) as notes of level ``wrong`` instead of raising the first, for a check that names
-    them all. In SI units. Wheel loads that the table lacks are computed from the payload (Eqs 1 and 2), counts and
-    distance that it lacks are taken from the logs; every such step is in ``notes``. Raises BadFileError where something
-    cannot be used; the message names file, row and column.
+    ``logs/<run_id>.csv``; `lenient`: keep faults of single runs (a run id twice, a log missing or damaged) as notes of
+    level ``wrong`` instead of raising the first. Wheel loads that the table lacks are computed from the payload (Eqs 1
+    and 2), counts and distance are taken from the logs; every such step is in ``notes``. Raises BadFileError where
+    something cannot be used; the message names file, row and column.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -195,10 +194,7 @@ class Bias:
 
 
 def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
-    """Return the campaign with turns by a gyro, and end poses of closed loops, in its run table.
-
-    `shown`: the run table's name in messages; `border` takes what was done.
-    """
+    """Return the campaign with turns by a gyro, and end poses of closed loops, in its run table."""
     if GYRO in campaign.logs.columns:
         campaign = _with_gyro(campaign, shown, border)
     if (campaign.runs.label("loop") == CLOSED).any():
@@ -314,9 +310,8 @@ def read_or_ingest(
 ) -> Campaign:
     """Read a campaign folder, or make a campaign of a recording or table as `ingest` would, and read that.
 
-    `path`: a campaign folder; or a file, or a rosbag2 folder; `lenient`: as for `read_campaign`. ``root`` is None where
-    it was made on the way. Raises BadInputError where a campaign folder is given with a mapping, or the file cannot be
-    used.
+    ``root`` is None where it was made on the way. Raises BadInputError where a campaign folder is given with a mapping,
+    or the file cannot be used.
     """
     is_campaign = path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None)
     if is_campaign and mapping is not None:

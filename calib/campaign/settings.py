@@ -150,8 +150,7 @@ _FURTHER: Final = frozenset({"mm", "cm", "km", "um", "deg", "mrad", "kN", "daN",
 class Recognised:
     """A column found: its name in the file, its name in calib, the conversion, and what to say about it.
 
-    ``value = factor * cell + offset``; `said` is empty where the name was exact; `unitless` names the known column that
-    a name without a unit might have meant.
+    ``value = factor * cell + offset``; `unitless`: the known column that a name without a unit might have meant.
     """
 
     found: str
@@ -182,9 +181,9 @@ def bracketed(name: str) -> tuple[str, str | None]:
 def recognise(found: str, known: tuple[str, ...], *, further: bool = True) -> Recognised:
     """Match a column name against the known ones.
 
-    `found`: as in the file, for example ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit
-    suffixes; `further`: convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name, too.
-    ``name`` is `found` (cleaned of blanks) where nothing matches.
+    `found`: as ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit suffixes; `further`: convert an
+    unknown name that ends in a unit (``static_radius_mm``) to its SI name, too. ``name`` is `found` (cleaned of blanks)
+    where nothing matches.
     """
     # a fleet's tables, and a campaign's logs, repeat the same names
     if (name := found.strip()) in known:

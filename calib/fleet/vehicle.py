@@ -258,7 +258,7 @@ class _Blocks:
 
 
 def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, float]:
-    """Return an estimate with intervals for autocorrelated runs, and their significant autocorrelation."""
+    """See `calib.radius.sessions.widened`."""
     from scipy.special import ndtr
 
     blocks = _blocks_of(estimate, sums)

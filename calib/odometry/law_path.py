@@ -312,9 +312,9 @@ def law_journey(
 
     Wheels fitted apart err independently; radii and track fitted together, as their joint covariance says.
 
-    `loads_N`, `reference_N`: loads (left, right) carried, and those that the uncorrected odometry stands on; `band`:
-    uncertainty of the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not
-    known, also of single runs whose scatter was not estimated, or `draws` below 100.
+    `loads_N`, `reference_N`: loads (left, right) carried, and those of the uncorrected odometry; `band`: uncertainty of
+    the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not known, also of
+    single runs whose scatter was not estimated, or `draws` below 100.
     """
     if band not in (bands := BANDS[: 1 + law.scatters]) or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(bands)} and 100 draws or more")

@@ -203,8 +203,8 @@ def make_campaign(
 ) -> Campaign:
     """Drive a design in a world with a known truth, in memory; see `calib.campaign.tables.write_campaign`.
 
-    `truth`: ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size; empty is no gap. `noise`, `model`
-    (what the simulator believes): drawn at random where missing.
+    `truth`: ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size. `noise`, `model` (what the
+    simulator believes): drawn at random where missing.
     """
     return make_campaigns(design, truth, rng, noise=noise, model=model, names=(name,))[0]
 

@@ -162,10 +162,7 @@ def strengths(
     step_s: float = 0.02,
     weigh: bool = True,
 ) -> Strength:
-    """Drive without noise, without any cause and with each; see `Strength`.
-
-    `weigh`: whether to fill `alone` and `beside`.
-    """
+    """Drive without noise, without any cause and with each; see `Strength`; `weigh`: fill `alone` and `beside`."""
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
         # end poses need no fine log
@@ -203,10 +200,7 @@ def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
 def to_signal(
     design: Design, model: OdometryModel, noise: Noise, causes: Sequence[Cause], targets: Sequence[float]
 ) -> tuple[list[Cause], Noise, Strength]:
-    """Scale causes to wanted signals, each alone (NaN: as it is), and return what was reached.
-
-    Rather than far from typical sizes, the noise is changed first; see `Strength`.
-    """
+    """Scale causes to wanted signals, each alone (NaN: as it is), the noise first; see `Strength`."""
     wanted = floats(targets)
     sizes = np.array([cause.size for cause in causes])
     typical = np.array([find(cause.effect, cause.form).typical for cause in causes])

@@ -93,7 +93,7 @@ _NEAR_TURN_RAD: Final = 1.0
 def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     """Return how far the reference turned in each run, and the turns it is off the wheels, infinite where not whole.
 
-    Headings all within half a turn were wrapped, which is undone; on a map runs turned as their logs say.
+    Headings all within half a turn are unwrapped; on a map runs turned as their logs say.
     """
     measured, turned = campaign.runs.number("ref_theta_rad"), turned_rad(campaign)
     if campaign.reference.frame == "map":

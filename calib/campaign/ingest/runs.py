@@ -151,17 +151,9 @@ def names_runs(raw: RawTable, mapping: Mapping) -> bool:
 
 
 def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, border: Border) -> RunTable:
-    """Return the run table of a laboratory's table.
+    """Return the run table of a laboratory's table; see `run_table`.
 
     Raises BadFileError where the mapping names a column or a text that is not there, or the table cannot be used.
-
-    Parameters
-    ----------
-    raw, mapping
-    encoder
-        Turns angles of the wheels into counts.
-    shown, border
-        The table's name in messages, and what takes notes.
     """
     lines = resolved(mapping.table.columns, raw.columns)
     raw = _without_repeats(_without_end(raw, lines, shown, border), shown, border)

@@ -316,10 +316,8 @@ def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
 
 
 def _tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
-    """Return a text with empty lines for those without cells, and notes.
-
-    Lines that begin with ``#`` are remarks, but for one right above the numbers that names as many columns.
-    """
+    # a text with empty lines for those without cells; lines that begin with # are remarks, but for one right above the
+    # numbers that names as many columns
     notes: list[Note] = []
     if layout.skip_rows:
         lines = data.split(b"\n")

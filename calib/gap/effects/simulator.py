@@ -60,8 +60,8 @@ class Carried:
 class SimulatorParameter(Effect):
     """A parameter of the simulator is off: the change of the readings is what the simulator showed for a step of it.
 
-    `parameter`: named as the simulator calls it; sizes are its deviation from the nominal value, in its unit;
-    `carried`: what it does on the runs driven; `family`: that of the library's effect that it stands for.
+    `parameter`: sizes are its deviation from the nominal value; `carried`: what it does on the runs driven; `family`:
+    that of the library's effect that it stands for.
     """
 
     # an instance's own, unlike the class attributes of the other effects
@@ -110,8 +110,7 @@ class _Basis:
 class WheelMotion:
     """What wheels that are off do to the ends of runs: the motion in what a simulator's parameters change.
 
-    `nominal`: about which they are off; `noise`: (n_obs, 4), of a change of (distance, x, y, heading); zero where the
-    simulator repeats itself.
+    `noise`: (n_obs, 4), of a change of (distance, x, y, heading); zero where the simulator repeats itself.
     """
 
     def __init__(self, nominal: Path, noise: FloatArray) -> None:

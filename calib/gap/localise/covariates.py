@@ -86,17 +86,8 @@ def covariate_test(
     """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
 
     Returned is the channel of the smallest p, times the number of channels; not yet held to the table's error.
-
-    Parameters
-    ----------
-    name
-    values : shape (n_units,)
-    scaled : shape (n_units, n_channels)
-        Gap over noise level; NaN where a unit lacks the channel.
-    weights : shape (n_draws, n_units)
-        How often the bootstrap draws each unit.
-    most_dof
-        Of the noise level.
+    `scaled` (n_units, n_channels): gap over noise level, NaN where a unit lacks the channel; `weights` (n_draws,
+    n_units): how often the bootstrap draws each; `most_dof`: of the noise level; see `covariate_values`.
     """
     found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
     if not found:

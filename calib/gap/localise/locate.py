@@ -124,16 +124,13 @@ def locate(
 
     Parameters
     ----------
-    nominal, noise
-    gap : shape (n_units, n_channels)
-        Measured minus simulated; 0 where a unit lacks the channel.
+    nominal, noise, rng
+    gap, left : shape (n_units, n_channels)
+        Measured minus simulated, 0 where a unit lacks the channel; the same with its causes fitted.
     floor : shape (n_units, n_channels)
         What the gap is shown against; by default that of `noise`.
-    rng
     campaign
         The same runs with their logs: without it, no places inside runs.
-    left : shape (n_units, n_channels)
-        The gap with its causes fitted.
     """
     observations, lines = nominal.s, _tested(nominal, noise, gap, rng)
     places: tuple[PlaceResult, ...] = ()
