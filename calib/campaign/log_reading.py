@@ -60,9 +60,14 @@ def _keep(path: Path, log: _ReadLog) -> None:
     data = io.BytesIO()
     notes = np.asarray([astuple(note) for note in log.notes], dtype=np.str_)
     np.savez(data, names=list(log.columns), values=np.stack(list(log.columns.values())), notes=notes)
+    keep(path, data.getvalue())
+
+
+def keep(path: Path, data: bytes) -> None:
+    """Write a file of a cache; if that fails it is missing."""
     with suppress(CalibError, OSError):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        write_bytes(path, data.getvalue(), force=True)
+        write_bytes(path, data, force=True)
 
 
 def trim_cache(folder: Path, most_bytes: int = MOST_BYTES) -> None:

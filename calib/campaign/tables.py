@@ -235,17 +235,9 @@ def write_campaign(
 ) -> Path:
     """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none, of one generation.
 
-    Raises BadInputError where a campaign is there and `force` is False, or the folder cannot be written.
-
-    Parameters
-    ----------
-    campaign, folder, force
-        What is written and where (other files there stay); whether it replaces a campaign there.
-    log_decimals
-        Decimals of log columns, for example ``{"range_m": 4}``; others are written so that they read back exactly, and
-        times to the nanosecond.
-    beside
-        Further files of the same generation by their name in the folder: ``ingest.json``, ``recordings/...``.
+    Raises BadInputError where a campaign is there and `force` is False, or the folder cannot be written; other files
+    there stay. `log_decimals`: as ``{"range_m": 4}``; other columns are written so that they read back exactly, times
+    to the nanosecond; `beside`: further files by their name in the folder (``ingest.json``); see `write_folder`.
     """
 
     def fill(scratch: Path) -> None:

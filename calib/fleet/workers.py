@@ -45,7 +45,8 @@ def engine(workers: int = 1, scheduler: str = "") -> "Iterator[Engine]":
 
     Raises RefusedError where the scheduler does not answer.
     """
-    with closing(DaskEngine(scheduler) if scheduler else ProcessEngine(workers) if workers > 1 else Engine()) as opened:
+    made = DaskEngine(scheduler) if scheduler else _ProcessEngine(workers) if workers > 1 else Engine()
+    with closing(made) as opened:
         yield opened
 
 
@@ -156,34 +157,25 @@ class Engine:
                 broken = False
 
 
-class ProcessEngine(Engine):
-    """Processes of this machine, started at once."""
-
+class _ProcessEngine(Engine):
     batch = PROCESS_BATCH
+    workers = 0
 
     def __init__(self, workers: int) -> None:
-        self._workers, self.most_submitted = workers, 2 * workers
+        self.workers, self.most_submitted = workers, 2 * workers
         if _may_fork():
             _import_modules(SHARED_MODULES)
         self._pool = self._started()
         # the first task makes the workers, while this process has no other thread
         self._pool.submit(int)
 
-    @property
-    def workers(self) -> int:
-        """See `Engine`."""
-        return self._workers
-
     def close(self) -> None:
-        """See `Engine`."""
         self._pool.shutdown(cancel_futures=True)
 
     def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
-        """See `Engine`."""
         return self._pool.submit(task, batch)
 
     def renew(self) -> None:
-        """Start other processes; raises RefusedError where they die before their first task."""
         self.close()
         self._pool = self._started()
         try:
@@ -196,7 +188,7 @@ class ProcessEngine(Engine):
 
     def _started(self) -> ProcessPoolExecutor:
         context = get_context("fork") if _may_fork() else _server()
-        return ProcessPoolExecutor(self._workers, mp_context=context, initializer=_begin_worker)
+        return ProcessPoolExecutor(self.workers, mp_context=context, initializer=_begin_worker)
 
 
 def _may_fork() -> bool:

@@ -76,11 +76,6 @@ def covariate_columns(observations: Observations) -> tuple[str, ...]:
     return tuple(name for name in observations.numbers if name not in NUMERIC_COLUMNS)
 
 
-def column_of(effect: str) -> str | None:
-    """Return the column of a covariate's id, None for any other id."""
-    return effect.removeprefix(COVARIATE_PREFIX) if effect.startswith(COVARIATE_PREFIX) else None
-
-
 #: group of entry points under which packages offer classes of effects
 ENTRY_POINT_GROUP: Final = "calib.effects"
 

@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from calib.gap.effects.effect import Effect, Family, Form, Parameter, Perturbations, acting_on, varies
-from calib.gap.effects.quantities import wheel_size
+from calib.gap.effects.quantities import PAPER_RADIUS_M, mean_radius_m
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict, residuals
 from calib.gap.steps import Perturbation
@@ -51,7 +51,8 @@ class WheelEccentricity(Effect):
                 }
             return [perturbation for side in sides for perturbation in kept[path][side]]
 
-        typical = 2e-4 * wheel_size(observations)
+        # in proportion to the wheel
+        typical = 2e-4 * min(1.0, mean_radius_m(observations) / PAPER_RADIUS_M)
 
         def form(label: str, sides: Sequence[str]) -> Form:
             names = [f"{side}_{part}" for side in sides for part in ("cos", "sin")]

@@ -24,11 +24,6 @@ def common_frame(observations: Observations) -> bool:
     return observations.common_frame and (not observations.windowed or bool(np.isfinite(observations.start_pose).all()))
 
 
-def is_back(observations: Observations) -> FloatArray:
-    """Return 1 for observations driven back along the floor, 0 for others, shape (n_obs,)."""
-    return np.where(observations.heading_sign < 0.0, 1.0, 0.0)
-
-
 def far_end_m(observations: Observations) -> FloatArray:
     """Return where on x each observation starts: 0, or for straight runs back the corridor's length, shape (n_obs,).
 
@@ -58,8 +53,8 @@ def lanes(observations: Observations) -> IntArray:
 def map_heading_rad(path: Path) -> FloatArray:
     """Return the heading on the floor at the middle of each step, shape (n_steps,)."""
     observations = path.s
-    start = observations.start_pose[:, 2]
-    return path.steps.mid_rad + np.where(np.isfinite(start), start, np.pi * is_back(observations))[observations.unit]
+    start, assumed = observations.start_pose[:, 2], np.where(observations.heading_sign < 0.0, np.pi, 0.0)
+    return path.steps.mid_rad + np.where(np.isfinite(start), start, assumed)[observations.unit]
 
 
 def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -69,7 +64,7 @@ def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArr
     heading along x; runs back head the other way, in a corridor from its far end (`far_end_m`).
     """
     s, steps = path.s, path.steps
-    assumed = np.stack([far_end_m, np.zeros(len(s)), np.pi * is_back(s)], axis=1)
+    assumed = np.stack([far_end_m, np.zeros(len(s)), np.where(s.heading_sign < 0.0, np.pi, 0.0)], axis=1)
     known = np.isfinite(s.start_pose).all(axis=1, keepdims=True)
     x, y, heading = np.where(known, s.start_pose, assumed)[s.unit].T
     c, sn = np.cos(heading), np.sin(heading)

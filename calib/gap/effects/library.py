@@ -13,7 +13,13 @@ from calib.campaign.settings import OdometryModel
 from calib.documents import plain
 from calib.errors import COVARIATES, BadInputError, refuse_beyond
 from calib.gap.effects import encoder, floor, load, path, radii, reference, steering, turning
-from calib.gap.effects.columns import Covariate, column_of, covariate_columns, declared_effects, entry_point_effects
+from calib.gap.effects.columns import (
+    COVARIATE_PREFIX,
+    Covariate,
+    covariate_columns,
+    declared_effects,
+    entry_point_effects,
+)
 from calib.gap.effects.effect import Centre, Effect, Family, Form
 from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected
 from calib.gap.effects.radii import Wear
@@ -103,8 +109,9 @@ def title_of(name: str) -> str:
         return REGISTRY[name].title
     if name.startswith(SIMULATOR_PREFIX):
         return simulator_title(name.removeprefix(SIMULATOR_PREFIX))
-    column = column_of(name)
-    return name.replace("_", " ") if column is None else Covariate(column).title
+    if name.startswith(COVARIATE_PREFIX):
+        return Covariate(name.removeprefix(COVARIATE_PREFIX)).title
+    return name.replace("_", " ")
 
 
 def why_not_transferable(name: str) -> str:

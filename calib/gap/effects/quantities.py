@@ -31,11 +31,6 @@ def mean_radius_m(observations: Observations) -> float:
     return 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m)
 
 
-def wheel_size(observations: Observations) -> float:
-    """Return how far things can be off on a wheel, 1 or less: in proportion to its radius."""
-    return min(1.0, mean_radius_m(observations) / PAPER_RADIUS_M)
-
-
 def loads_vary(observations: Observations) -> bool:
     """Return whether the load of either wheel is known and differs between observations."""
     return any(varies(load, same_load_N(observations), observations) for load in observations.wheel_loads_N)

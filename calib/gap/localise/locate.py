@@ -122,15 +122,9 @@ def locate(
     Every covariate is tested in every channel, see `covariate_test`; Holm's steps hold the table to one chance in
     twenty of any false finding. Shares have bootstrap intervals over units.
 
-    Parameters
-    ----------
-    nominal, noise, rng
-    gap, left : shape (n_units, n_channels)
-        Measured minus simulated, 0 where a unit lacks the channel; the same with its causes fitted.
-    floor : shape (n_units, n_channels)
-        What the gap is shown against; by default that of `noise`.
-    campaign
-        The same runs with their logs: without it, no places inside runs.
+    `gap`, `left` (n_units, n_channels): measured minus simulated, 0 where a unit lacks the channel; the same with its
+    causes fitted; `floor`: what the gap is shown against, by default that of `noise`; `campaign`: the same runs with
+    their logs, without which there are no places inside runs.
     """
     observations, lines = nominal.s, _tested(nominal, noise, gap, rng)
     places: tuple[PlaceResult, ...] = ()
