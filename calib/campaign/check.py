@@ -213,8 +213,8 @@ class CheckReport:
 def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckReport:
     """Run every check; nothing is changed.
 
-    `campaign`: read leniently, so that faults of single runs are among its notes. Reported are these and the checks'
-    notes; of runs flagged as excluded, faults alone.
+    `campaign`: read leniently, so that faults of single runs are among its notes; of runs flagged as excluded faults
+    alone are reported.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
     found, kept = _taken_apart(campaign.included())
@@ -227,7 +227,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     notes = [replace(one, level="wrong") if one.text.partition(" and ")[0] in lacking else one for one in notes]
     names = ("wrong", "suspicious", "info")
     levels = {level: tuple(dict.fromkeys(note for note in notes if note.level == level)) for level in names}
-    return CheckReport(campaign.name, campaign.simulated, summarise(campaign), **levels)
+    return CheckReport(campaign.name, campaign.simulated, _summarise(campaign), **levels)
 
 
 #: without these nothing can be learnt of wheels on a line
@@ -256,8 +256,8 @@ def _together(notes: Iterable[Note]) -> list[Note]:
 def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str, ...]:
     """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none.
 
-    `of_loads`: with what is said of payloads, wheel loads and values that nobody stated, none of which makes runs end
-    off by a share of their length.
+    `of_loads`: also of payloads, wheel loads and values that nobody stated: none makes runs end off by a share of their
+    length.
     """
     kept = _taken_apart(campaign.included())[1]
     checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]
@@ -283,8 +283,7 @@ def runs_of_broken_counters(campaign: Campaign) -> tuple[str, ...]:
     return tuple(sorted({note.run_id for note in notes if note.run_id}))
 
 
-def summarise(campaign: Campaign) -> CampaignContents:
-    """Return what a campaign holds: runs, sessions, loads, spans and rates."""
+def _summarise(campaign: Campaign) -> CampaignContents:
     runs, logs = campaign.runs, campaign.logs
     duration = log_totals(logs, "t_s")
     rate = (logs.lengths - 1)[duration > 0] / duration[duration > 0]

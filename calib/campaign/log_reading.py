@@ -39,9 +39,7 @@ _READ_BY: Final = ("settings.py", "log_reading.py", "logs.py", "readers/*.py")
 
 
 @dataclass(frozen=True, slots=True)
-class ReadLog:
-    """A log as read: its columns and notes; or why it cannot be used."""
-
+class _ReadLog:
     columns: Mapping[str, FloatArray]
     notes: tuple[Note, ...]
     #: of the file's bytes; empty where it cannot be read
@@ -49,22 +47,27 @@ class ReadLog:
     error: BadFileError | None = None
 
 
-def _kept(path: Path, sha256: str) -> ReadLog | None:
+def _kept(path: Path, sha256: str) -> _ReadLog | None:
     try:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as stored:
             columns = dict(zip(map(str, stored["names"]), stored["values"], strict=True))
-            return ReadLog(columns, tuple(Note(*map(str, note)) for note in stored["notes"]), sha256)
+            return _ReadLog(columns, tuple(Note(*map(str, note)) for note in stored["notes"]), sha256)
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
         return None
 
 
-def _keep(path: Path, log: ReadLog) -> None:
+def _keep(path: Path, log: _ReadLog) -> None:
     data = io.BytesIO()
     notes = np.asarray([astuple(note) for note in log.notes], dtype=np.str_)
     np.savez(data, names=list(log.columns), values=np.stack(list(log.columns.values())), notes=notes)
+    keep(path, data.getvalue())
+
+
+def keep(path: Path, data: bytes) -> None:
+    """Write a file of a cache; if that fails it is missing."""
     with suppress(CalibError, OSError):
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        write_bytes(path, data.getvalue(), force=True)
+        write_bytes(path, data, force=True)
 
 
 def trim_cache(folder: Path, most_bytes: int = MOST_BYTES) -> None:
@@ -115,11 +118,9 @@ MANY_BYTES: Final = 16 << 20
 def read_logs(
     files: Sequence[LogFile], n_runs: int, encoder: Encoder, border: Border, *, progress: Progress = silent
 ) -> tuple[Logs, dict[str, str]]:
-    """Read the logs of a campaign and undo the overflow of their counters.
+    """Return logs end to end, their counters' overflow undone, and the SHA-256 of each by name.
 
-    Returns the logs end to end, and the SHA-256 of each by name.
-
-    Without ``wrap_bits`` overflows are looked for; a log that cannot be used is a fault; see `LogStack`.
+    A log that cannot be used is a fault; see `LogStack`.
     """
     stack = LogStack(n_runs)
     hashes: dict[str, str] = {}
@@ -135,7 +136,7 @@ def read_logs(
     return stack.finished(encoder, names, border), hashes
 
 
-def _read_all(files: Sequence[LogFile]) -> Iterator[ReadLog]:
+def _read_all(files: Sequence[LogFile]) -> Iterator[_ReadLog]:
     n_bytes = sum(state[1] for _, _, path, _ in files if (state := _state(path)))
     cache = cache_folder("logs") if n_bytes >= WORTH_BYTES else None
     large = n_bytes >= LARGE_BYTES * len(files)
@@ -158,8 +159,8 @@ def _read_all(files: Sequence[LogFile]) -> Iterator[ReadLog]:
         trim_cache(cache)
 
 
-def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) -> list[ReadLog]:
-    logs: dict[int, ReadLog] = {}
+def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) -> list[_ReadLog]:
+    logs: dict[int, _ReadLog] = {}
     # of each new log its state and hash before it is read, and its place in the cache
     new: dict[int, tuple[tuple[int, ...], str, Path | None]] = {}
     for number, (_, _, path, name) in enumerate(files):
@@ -180,9 +181,9 @@ def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) 
         path, name = files[number][2:]
         own = Border(lenient=False)
         try:
-            log = ReadLog(read_log(path, name, own, raw), tuple(own.notes), sha256)
+            log = _ReadLog(read_log(path, name, own, raw), tuple(own.notes), sha256)
         except BadFileError as error:
-            log = ReadLog({}, tuple(own.notes), sha256, error)
+            log = _ReadLog({}, tuple(own.notes), sha256, error)
         if _state(path) != state:
             # a file that changed while read is not kept, nor named under its earlier hash
             log = replace(log, sha256=_sha256(path))

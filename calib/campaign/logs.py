@@ -38,9 +38,8 @@ LATE_START_S: Final = 1.0
 def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list[LogFile]":
     """Return the logs that there are, in the order of the runs.
 
-    `runs`: names the logs, else they are ``logs/<run_id>.csv`` or of another format; `shown`: the run table's name in
-    messages; `border`: takes what is missing or named twice as faults. Raises BadFileError where a path leads out of
-    the folder, or, for a border that is not lenient, at the first fault.
+    Runs without a named one have ``logs/<run_id>.csv`` or of another format; `shown`: the run table's name in messages;
+    `border`: takes what is missing or named twice as faults. Raises BadFileError where a path leads out of the folder.
     """
     plain, suffixes = _plain_logs(folder), READERS if (folder / "logs").exists() else ()
     files: list[LogFile] = []
@@ -148,7 +147,7 @@ def add_recognised(
 
     Raises BadFileError where two columns mean the same.
 
-    `columns`: by calib's names, changed in place; `mapped`: columns of `raw` to pass over; see `RawTable`.
+    `columns`: changed in place; `mapped`: columns of `raw` to pass over; see `RawTable`.
     """
     time, given = "t_s", set(columns)
     for found, cells in raw.columns.items():
@@ -157,8 +156,7 @@ def add_recognised(
             continue
         if match.name in columns:
             raise second_column(match, found, shown)
-        if match.said:
-            border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
+        border.recognised(shown, match)
         time = found if match.name == "t_s" else time
         columns[match.name] = converted(cells, match.factor, match.offset)
     return time
@@ -216,9 +214,7 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray |
     """Find the width of a counter that overflows inside the logs.
 
     All counts lie in one span of the counter, and each jump, undone, is a step like the others, as a reset is not. A
-    step over a gap in time may hold the counts of as many usual steps.
-
-    13, 16 or 32, or None where nothing overflows; for shapes see `unwrap`.
+    step over a gap in time may hold the counts of as many usual steps. For shapes see `unwrap`.
     """
     if not len(counts) or np.isnan(counts).all():
         return None
@@ -257,9 +253,9 @@ def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray
 
 
 def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: FloatArray) -> FloatArray:
-    """Return how many full counters to add to `total` to meet `expected`; 0 where none fits.
+    """Return how many full counters to add to `total` to meet `expected` within `tolerance`; 0 where none fits.
 
-    Whole numbers, shape (n_runs,) as `total`, `expected`, and `tolerance`: how far these may be apart.
+    All of shape (n_runs,).
     """
     full = 2.0**bits
     turns = np.rint((expected - total) / full)
@@ -302,7 +298,7 @@ class LogStack:
     def finished(self, encoder: Encoder, names: Mapping[int, tuple[str, str]], border: Border) -> Logs:
         """Return all runs' logs, end to end, their counters' overflow undone; the stack is empty afterwards.
 
-        `encoder`: without ``wrap_bits`` overflows are looked for; `names`: run id and name of the log, for messages.
+        Without ``wrap_bits`` overflows are looked for; `names`: run id and name of the log, for messages.
         """
         offsets = np.concatenate(([0], np.cumsum(self._lengths))).astype(np.int64)
         columns = LogColumns(self._size, len(self._columns))

@@ -18,7 +18,15 @@ from weakref import finalize
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.campaign.settings import WHEEL_LOADS, Encoder, Odometry, OdometryModel, Rangefinder, Reference
+from calib.campaign.settings import (
+    WHEEL_LOADS,
+    Encoder,
+    Odometry,
+    OdometryModel,
+    Rangefinder,
+    Recognised,
+    Reference,
+)
 from calib.errors import BadFileError, BadInputError
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
@@ -94,6 +102,11 @@ class Border:
     def say(self, where: str, text: str, code: str, *, level: str = "info", run_id: str = "") -> None:
         """Keep a note; see `Note`."""
         self.notes.append(Note.of(where, text, code, level, run_id))
+
+    def recognised(self, where: str, match: Recognised) -> None:
+        """Note what is to be said of a column's name or unit."""
+        if match.said:
+            self.say(f"{where}, column {match.found}", match.said, "unit" if match.factor != 1.0 else "name")
 
     def fault(self, error: BadFileError, code: str, run_id: str = "") -> None:
         """Raise `error`, or keep it in a lenient reading."""

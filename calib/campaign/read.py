@@ -48,11 +48,10 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     """Read a campaign.
 
     `folder`: holds ``campaign.toml``, ``runs.csv`` (or ``.xlsx``, ``.parquet``) and the logs that the table names, or
-    ``logs/<run_id>.csv`` where it names none; `logs`: read the logs too; `lenient`: keep faults of single runs (a run
-    id twice, a log missing or damaged) as notes of level ``wrong`` instead of raising the first, for a check that names
-    them all. In SI units. Wheel loads that the table lacks are computed from the payload (Eqs 1 and 2), counts and
-    distance that it lacks are taken from the logs; every such step is in ``notes``. Raises BadFileError where something
-    cannot be used; the message names file, row and column.
+    ``logs/<run_id>.csv``; `lenient`: keep faults of single runs (a run id twice, a log missing or damaged) as notes of
+    level ``wrong`` instead of raising the first. Wheel loads that the table lacks are computed from the payload (Eqs 1
+    and 2), counts and distance are taken from the logs; every such step is in ``notes``. Raises BadFileError where
+    something cannot be used; the message names file, row and column.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -163,13 +162,13 @@ def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> Flo
             where = f"{shown}, row {runs.line[run]}, column {name}"
             border.say(where, text, "wrapped_total", run_id=str(runs.run_id[run]))
         if turns.any():
-            return np.asarray(whole)
+            return whole
     return total
 
 
 def log_totals(logs: Logs, name: str) -> FloatArray:
     """Return last minus first of a log column for each run, shape (n_runs,); NaN without it."""
-    return np.asarray(_sample(logs, name, logs.offsets[1:] - 1) - _sample(logs, name, logs.offsets[:-1]))
+    return _sample(logs, name, logs.offsets[1:] - 1) - _sample(logs, name, logs.offsets[:-1])
 
 
 def _sample(logs: Logs, name: str, at: IntArray) -> FloatArray:
@@ -195,10 +194,7 @@ class Bias:
 
 
 def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
-    """Return the campaign with turns by a gyro, and end poses of closed loops, in its run table.
-
-    `shown`: the run table's name in messages; `border` takes what was done.
-    """
+    """Return the campaign with turns by a gyro, and end poses of closed loops, in its run table."""
     if GYRO in campaign.logs.columns:
         campaign = _with_gyro(campaign, shown, border)
     if (campaign.runs.label("loop") == CLOSED).any():
@@ -306,7 +302,7 @@ def _turn_by_wheels(campaign: Campaign) -> FloatArray:
         return np.full(len(campaign.runs), np.nan)
     model = axle.model
     left, right = (axle.runs.number(name) / axle.encoder.per_rev(name) for name in _COUNTS)
-    return np.asarray(2.0 * np.pi * (right * model.radius_right_m - left * model.radius_left_m) / model.track_m)
+    return 2.0 * np.pi * (right * model.radius_right_m - left * model.radius_left_m) / model.track_m
 
 
 def read_or_ingest(
@@ -314,9 +310,8 @@ def read_or_ingest(
 ) -> Campaign:
     """Read a campaign folder, or make a campaign of a recording or table as `ingest` would, and read that.
 
-    `path`: a campaign folder; or a file, or a rosbag2 folder; `lenient`: as for `read_campaign`. ``root`` is None where
-    it was made on the way. Raises BadInputError where a campaign folder is given with a mapping, or the file cannot be
-    used.
+    ``root`` is None where it was made on the way. Raises BadInputError where a campaign folder is given with a mapping,
+    or the file cannot be used.
     """
     is_campaign = path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None)
     if is_campaign and mapping is not None:

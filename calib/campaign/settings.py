@@ -150,8 +150,7 @@ _FURTHER: Final = frozenset({"mm", "cm", "km", "um", "deg", "mrad", "kN", "daN",
 class Recognised:
     """A column found: its name in the file, its name in calib, the conversion, and what to say about it.
 
-    ``value = factor * cell + offset``; `said` is empty where the name was exact; `unitless` names the known column that
-    a name without a unit might have meant.
+    ``value = factor * cell + offset``; `unitless`: the known column that a name without a unit might have meant.
     """
 
     found: str
@@ -182,9 +181,9 @@ def bracketed(name: str) -> tuple[str, str | None]:
 def recognise(found: str, known: tuple[str, ...], *, further: bool = True) -> Recognised:
     """Match a column name against the known ones.
 
-    `found`: as in the file, for example ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit
-    suffixes; `further`: convert an unknown name that ends in a unit (``static_radius_mm``) to its SI name, too.
-    ``name`` is `found` (cleaned of blanks) where nothing matches.
+    `found`: as ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit suffixes; `further`: convert an
+    unknown name that ends in a unit (``static_radius_mm``) to its SI name, too. ``name`` is `found` (cleaned of blanks)
+    where nothing matches.
     """
     # a fleet's tables, and a campaign's logs, repeat the same names
     if (name := found.strip()) in known:
@@ -257,10 +256,7 @@ def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatAr
 
 
 def second_column(match: Recognised, column: str, shown: str) -> BadFileError:
-    """Return the error of a second column of the same meaning.
-
-    `column`: its name in the file.
-    """
+    """Return the error of a second column of the same meaning."""
     return BadFileError(
         shown, f"a second column for {match.name}", "one", "remove or rename one of them", row=1, column=column
     )

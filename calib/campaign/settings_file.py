@@ -73,7 +73,7 @@ def parse_settings(document: dict[str, object], shown: str, default_name: str) -
     if head.format is None:
         part.notes.append(Note("info", shown, f'no format is given; "{FORMAT}" was assumed', "format"))
     vehicle: Vehicle = part.checked("vehicle")
-    if vehicle.cog_x_m > vehicle.wheelbase_m and "vehicle.cog_x_m" in not_stated(document):
+    if vehicle.cog_x_m > vehicle.wheelbase_m and "vehicle.cog_x_m" in _not_stated(document):
         # the default is a longer vehicle's
         vehicle = replace(vehicle, cog_x_m=vehicle.cog_x_m * vehicle.wheelbase_m)
     encoder = part.checked("encoder", _counts(part, vehicle))
@@ -93,7 +93,7 @@ def parse_settings(document: dict[str, object], shown: str, default_name: str) -
         logs=Logs.empty(0),
         extra={key: value for key, value in document.items() if key not in part.read} | part.unknown,
         notes=tuple(part.notes),
-        assumed=tuple(dict.fromkeys((*head.assumed, *not_stated(document)))),
+        assumed=tuple(dict.fromkeys((*head.assumed, *_not_stated(document)))),
     )
     _check_together(settings, shown)
     return settings
@@ -165,6 +165,7 @@ def _known(section: str) -> tuple[str, ...]:
 def _refused(
     error: ValidationError, shown: str, section: str, table: Mapping[str, Any], names: Mapping[str, str] | None = None
 ) -> BadFileError:
+    # names: key as calib has it -> as in the file
     fault = error.errors(include_url=False)[0]
     name, limits = str(fault["loc"][0]), fault.get("ctx", {})
     key = (names or {}).get(name, name)
@@ -213,8 +214,7 @@ def _check_together(settings: Campaign, shown: str) -> None:
         raise BadFileError(shown, f"{vehicle.cog_x_m:g}", expected, remedy, column="vehicle.cog_x_m")
 
 
-def not_stated(document: Mapping[str, Any]) -> list[str]:
-    """Return the keys of `STATED` that a settings document lacks in any unit."""
+def _not_stated(document: Mapping[str, Any]) -> list[str]:
     missing = []
     for section, keys in STATED.items():
         part = document.get(section, {})

@@ -35,9 +35,9 @@ _FALSE: Final = ("false", "0", "0.0", "no", "n", "", "-")
 
 
 def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
-    """Recognise columns, convert units, and check what later stages rely on.
+    """Return the runs in the file's order, columns recognised and in SI units.
 
-    Rows in the file's order, SI units. Raises BadFileError where run_id is missing, a cell is no number, or (not
+    Raises BadFileError where run_id is missing, a cell is no number, or (not
     lenient) a run_id repeats.
     """
     matched, line = _match(raw, shown, border), raw.line
@@ -138,8 +138,7 @@ def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
         if match.name in matched:
             raise second_column(match, found, shown)
         matched[match.name] = match
-        if match.said:
-            border.say(f"{shown}, column {found}", match.said, "unit" if match.factor != 1.0 else "name")
+        border.recognised(shown, match)
         if match.unitless:
             text = f"names no unit and is not used as {match.unitless}; rename it to the unit it is in"
             border.say(f"{shown}, column {found}", text, "no_unit", level="suspicious")
@@ -236,17 +235,9 @@ def write_campaign(
 ) -> Path:
     """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none, of one generation.
 
-    Raises BadInputError where a campaign is there and `force` is False, or the folder cannot be written.
-
-    Parameters
-    ----------
-    campaign, folder, force
-        What is written and where (other files there stay); whether it replaces a campaign there.
-    log_decimals
-        Decimals of log columns, for example ``{"range_m": 4}``. Without it every number is written so that it reads
-        back exactly, and times to the nanosecond.
-    beside
-        Further files of the same generation by their name in the folder: ``ingest.json``, ``recordings/...``.
+    Raises BadInputError where a campaign is there and `force` is False, or the folder cannot be written; other files
+    there stay. `log_decimals`: as ``{"range_m": 4}``; other columns are written so that they read back exactly, times
+    to the nanosecond; `beside`: further files by their name in the folder (``ingest.json``); see `write_folder`.
     """
 
     def fill(scratch: Path) -> None:

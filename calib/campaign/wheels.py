@@ -78,8 +78,7 @@ def _lacks_rear(campaign: Campaign) -> bool:
 def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campaign:
     """Return the campaign with the counts that two wheels on one axle would have had.
 
-    Without rear wheels the other wheels move the axle's middle, written as counts of two wheels of the model's radii
-    and track; what mecanum wheels roll to the side is the column `ASIDE`.
+    They are of the model's radii and track; what mecanum wheels roll to the side is the column `ASIDE`.
 
     `model`: the campaign's own by default; its `front` or `mecanum` part takes the place of the vehicle's nominal
     lengths. Raises BadInputError where a mecanum vehicle does not say its l + w.
@@ -188,7 +187,7 @@ def smoothed_speed_mps(way_m: FloatArray, t_s: FloatArray) -> FloatArray:
     index = np.arange(len(t_s))
     before, after = np.maximum(index - half, 0), np.minimum(index + half, len(t_s) - 1)
     span = t_s[after] - t_s[before]
-    return np.asarray((way_m[after] - way_m[before]) / np.where(span > 0.0, span, np.inf))
+    return (way_m[after] - way_m[before]) / np.where(span > 0.0, span, np.inf)
 
 
 def lengthening(over: FloatArray) -> FloatArray:
@@ -202,9 +201,7 @@ def lengthening(over: FloatArray) -> FloatArray:
 def shaft_motion(model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray, t_s: FloatArray) -> Motion:
     """Return what the rear axle's middle moves ahead and to the left (m) and turns (rad) in each step, Ackermann drive.
 
-    The axle's middle goes what the rear wheels roll, at the curvature tan(angle) / wheelbase, less by the model's slip.
-
-    `rolled_rad` (shape (n,)): since the sample before; `steer_rad`, `t_s` (shape (n,)): at the samples.
+    At the curvature tan(angle) / wheelbase, less by the model's slip. Shapes as for `front_motion`.
     """
     tangent = np.tan(model.scale * steer_rad + model.zero_rad)
     before = np.concatenate((tangent[:1], tangent[:-1]))
@@ -220,13 +217,10 @@ SPEEDS: Final = ("speed_left_mps", "speed_right_mps", "speed_rear_mps", "v_mps",
 
 
 def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) -> Logs:
-    """Return the logs with the counts that the logged speeds amount to.
+    """Return the logs with the counts that the logged speeds amount to, by trapezoids; logged counts are kept.
 
-    A speed is the wheel's rate times its nominal radius; ``v_mps`` and ``omega_radps`` of a vehicle's own odometry are
-    the speeds v -+ omega track / 2 of its wheels. Between samples a speed changes linearly (trapezoids). Counts that
-    were logged are kept.
-
-    `vehicle`: by whose nominal radius and track it computed its speeds; `border` takes what was done.
+    ``v_mps`` and ``omega_radps`` are the speeds v -+ omega track / 2 of the wheels. `vehicle`: by whose nominal radius
+    and track it computed its speeds; `border` takes what was done.
     """
     columns = dict(logs.columns)
     for name, speed_mps in _wheel_speeds(columns, vehicle):
@@ -272,8 +266,8 @@ MIN_GUIDED_RUNS: Final = 5
 def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray, posed: BoolArray) -> BoolArray:
     """Return which observations were guided along a line, by what was measured alone, shape (n_obs,) as all.
 
-    `distance_m`: NaN where not measured; `path_m`, `apart_m`: what the wheels rolled, and the right one beyond the
-    left; `posed`: with a measured end pose or heading.
+    `path_m`, `apart_m`: what the wheels rolled, and the right one beyond the left; `posed`: with a measured end pose or
+    heading.
     """
     way = np.abs(path_m)
     with np.errstate(invalid="ignore", divide="ignore"):

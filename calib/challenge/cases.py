@@ -283,7 +283,7 @@ def _log_evidence(spaces: Sequence[_Space], n_effects: int, readings: FloatArray
 
 
 def _log_likelihood(space: _Space, readings: FloatArray, signal: float) -> FloatArray:
-    """Return the log likelihood ratio (n,) of a signal: Gamma(k/2) (2/z)^(k/2-1) I_(k/2-1)(z) in k dimensions."""
+    # Gamma(k/2) (2/z)^(k/2-1) I_(k/2-1)(z) in k dimensions
     from scipy.special import gammaln, ive
 
     inside = readings @ space.basis
@@ -291,7 +291,7 @@ def _log_likelihood(space: _Space, readings: FloatArray, signal: float) -> Float
     if n_directions == 1:
         along = signal * inside[:, 0]
         both = np.logaddexp(along, -along) - np.log(2.0)
-        return np.asarray((along if space.one_sign else both) - 0.5 * signal**2)
+        return (along if space.one_sign else both) - 0.5 * signal**2
     z = np.maximum(signal * np.linalg.norm(inside, axis=1), 1e-12)
     order = 0.5 * n_directions - 1.0
     mean = gammaln(0.5 * n_directions) + order * np.log(2.0 / z) + np.log(ive(order, z)) + z

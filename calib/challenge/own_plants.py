@@ -34,7 +34,7 @@ TIGHT_PER_M: Final = 0.05
 
 
 def outsiders(replay: Replay, rng: np.random.Generator) -> dict[str, SizedAct | str]:
-    """Return each outside cause, or the reason why this campaign cannot have it."""
+    """Return each outside cause, or why this campaign cannot have it."""
     columns = _two_columns(replay)
     speeds = np.unique(np.round(replay.design.speed_mps, 2))
     condition = replay.observations.condition

@@ -40,10 +40,8 @@ class OwnNoise:
 
 
 def own_noise(observations: Observations, left: FloatArray, covariance: FloatArray) -> OwnNoise:
-    """Return the noise of what a fit leaves (n_units, 6) under its covariance (n_units, 6, 6).
-
-    Exchangeable are units of one condition where there are enough; else of one route, else of the same channels.
-    """
+    """Return the noise of what a fit leaves (n_units, 6) under its covariance (n_units, 6, 6)."""
+    # of one condition where there are enough, else of one route, else of the same channels
     channels = observations.usable @ (2 ** np.arange(6))
     alike = (observations.condition, observations.kind, np.zeros_like(channels))
     circles = [np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1] for by in alike]
@@ -77,7 +75,7 @@ def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: Wor
         for unit, end in enumerate(last + 1):
             at = time_s[:end, unit]
             true[:end, unit] = np.interp(at + late[unit], at, true[:end, unit])
-    return np.asarray(true)
+    return true
 
 
 def _side(angle: FloatArray, last: IntArray) -> FloatArray:

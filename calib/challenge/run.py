@@ -29,9 +29,9 @@ Achieved = dict[str, float | None]
 def achieved(diagnosis: "Diagnosis", fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
     """Return the gap of a fresh campaign of the same truth under the model alone and under the fix, not refitted.
 
-    ``before_rms_m``, ``after_rms_m`` of the end position (else of the distance); ``before_over_floor``,
-    ``after_over_floor``, all channels against their noise; the closure ``fraction`` of whitened squares. None where the
-    verdict names no cause, or a form of its causes cannot be had there.
+    ``before_rms_m``, ``after_rms_m`` are of the end position (else of the distance), those ``over_floor`` of all
+    channels over their noise, ``fraction`` of whitened squares. None where the verdict names no cause, or a form of its
+    causes cannot be had there.
     """
     from calib.gap.inference.fit import hypothesis_path, whitened_rows
     from calib.gap.observations.from_campaign import observations_of
@@ -136,7 +136,7 @@ def run(
 ) -> Ran:
     """Diagnose the cases of a set that have no verdict yet, of the first `limit`; see `calib.challenge.seal.make`.
 
-    A `diagnoser` in place of the library's runs in this process.
+    A `diagnoser` of one's own runs in this process.
     """
     cases = list(read_public(folder)["cases"].items())[:limit]
     waiting = [

@@ -4,6 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,16 +19,6 @@ from calib.io import sha256_file
 from calib.types import grouped
 
 
-def wilson(hits: int, total: int) -> tuple[float, float]:
-    """Return Wilson's 95 % score interval of hits / total; (0, 1) where there is nothing."""
-    return _interval95(hits, total, "wilson")
-
-
-def clopper_pearson(hits: int, total: int) -> tuple[float, float]:
-    """Return the exact 95 % interval of hits / total; (0, 1) where there is nothing."""
-    return _interval95(hits, total, "beta")
-
-
 def _interval95(hits: int, total: int, method: str) -> tuple[float, float]:
     from statsmodels.stats.proportion import proportion_confint
 
@@ -35,6 +26,11 @@ def _interval95(hits: int, total: int, method: str) -> tuple[float, float]:
         return 0.0, 1.0
     low, high = proportion_confint(hits, total, alpha=0.05, method=method)
     return float(low), float(high)
+
+
+#: Wilson's score interval of hits / total, and the exact one; (0, 1) where there is nothing
+wilson: Final = partial(_interval95, method="wilson")
+clopper_pearson: Final = partial(_interval95, method="beta")
 
 
 @dataclass(frozen=True, slots=True)

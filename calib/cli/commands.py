@@ -227,4 +227,4 @@ def build(arguments: Sequence[str] | None = None) -> typer.Typer:
 
 
 def _not_imported() -> None:
-    """Fill the place of a command that was not called in the list of commands."""
+    """Stand for a command that was not called."""

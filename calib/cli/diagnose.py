@@ -97,11 +97,7 @@ _UNSETTLED: Final = frozenset({"diagnose", "diagnose unknown", "diagnose wrong",
 def _apply(
     diagnosis: "Diagnosis", campaign: "Campaign", effects: "tuple[EffectSection, ...] | None", target: Path
 ) -> str | None:
-    """Write the model with its correction, and say so where that is not recommended or nothing is to be written.
-
-    Returns the step that it was, empty where the diagnosis' own holds, None where there is nothing to write.
-    `effects`: those that the model has; None for a simulator.
-    """
+    # returns the step that it was, empty where the diagnosis' own holds, None where there is nothing to write
     from calib.coefficients.file import fitted_beside
     from calib.gap.apply import applied_model, on_vehicle
     from calib.gap.decision.diagnosis import VerdictKind

@@ -41,7 +41,7 @@ def failed(error: Exception, given: list[str]) -> int:
     Where standard output belongs to JSON, it gets the same as ``{"error": ..., "exit_status": ...}``.
     """
     if isinstance(error, BrokenPipeError):
-        return pipe_closed()
+        return _pipe_closed()
     if type(error).__name__ == "NoArgsIsHelpError":
         sys.stderr.write(_message(error) + "\n")
         return EXIT_BAD_INPUT
@@ -120,8 +120,7 @@ def _usage(error: Exception) -> str:
     return f"{message} (see '{context.command_path} --help')"
 
 
-def pipe_closed() -> int:
-    """Drop what is still buffered, since nobody reads it, and return the exit status for it."""
+def _pipe_closed() -> int:
     drop(sys.stdout)
     return EXIT_PIPE_CLOSED
 
@@ -199,8 +198,8 @@ def run(
 ) -> int:
     """Run the command line and return its exit status.
 
-    ``settle``, called before the last line is printed, and ``interrupted`` tell whether the user interrupted the
-    command: libraries may turn an interruption into an error of their own, or let it pass.
+    ``settle``, called before the last line is printed, and ``interrupted`` tell whether the user interrupted: libraries
+    may turn that into an error of their own, or let it pass.
     """
     _reopen()
     # figures go to files only, no matter what window system the environment asks for
@@ -225,7 +224,7 @@ def run(
     except SystemExit as error:
         # the printing libraries end the program with 1 where nobody reads on
         if isinstance(error.__context__, BrokenPipeError):
-            return pipe_closed()
+            return _pipe_closed()
         raise
     except Exception as error:
         return interruption(kept) if settle() else failed(error, given)

@@ -64,8 +64,7 @@ def forced() -> bool:
     return FORCE.get()
 
 
-def heed() -> None:
-    """Stop where the user has interrupted the command and a library let that pass."""
+def _heed() -> None:
     if INTERRUPTED.get(bool)():
         raise KeyboardInterrupt
 
@@ -119,7 +118,7 @@ def show(blocks: "Iterable[Block | Section]") -> None:
     """Print blocks for people; to standard error where standard output belongs to JSON."""
     from calib.reporting.formatting import text_lines
 
-    heed()
+    _heed()
     stream = sys.stderr if wants_stdout() else sys.stdout
     lines = text_lines(blocks, min(max(get_terminal_size((DEFAULT, 24)).columns, NARROWEST), WIDEST))
     if stream.isatty() and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb":
@@ -207,11 +206,11 @@ def keep(text: str) -> None:
 def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
     """Give a function ``(done, total, stage)`` that shows progress on standard error, where that is a terminal.
 
-    Before the first stage is named, a sign of life alone is shown; a total of 0 means that nobody knows it.
+    Before the first stage a sign of life alone is shown; a total of 0 means that nobody knows it.
     """
     if not sys.stderr.isatty():
-        yield lambda _done, _total, _stage: heed()
-        heed()
+        yield lambda _done, _total, _stage: _heed()
+        _heed()
         return
     from rich import progress as bars
     from rich.console import Console
@@ -236,7 +235,7 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
         at: list[str] = [""]
 
         def tick(done: int, total: int, stage: str) -> None:
-            heed()
+            _heed()
             if stage != at[0]:
                 # one line, which says the stage at work
                 at[0] = stage
@@ -244,7 +243,7 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
             bar.update(task, completed=done, total=total or None)
 
         yield tick
-    heed()
+    _heed()
 
 
 @contextmanager
@@ -252,13 +251,13 @@ def waiting(what: str) -> Iterator[None]:
     """Show on standard error, where that is a terminal, that something is at work which takes seconds."""
     if not sys.stderr.isatty():
         yield
-        heed()
+        _heed()
         return
     from rich.console import Console
 
     with Console(stderr=True).status(f"{what} ..."):
         yield
-    heed()
+    _heed()
 
 
 def visible(text: str) -> str:

@@ -77,10 +77,9 @@ def _root(falling: Callable[[float], float], high: float) -> float:
 
 
 def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value.
+    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value by Student's t.
 
-    Median and median deviation find those that may stand apart; mean and spread of the others, better known, judge all
-    by Student's t.
+    Median and median deviation find those that may stand apart; mean and spread of the others, better known, judge all.
     """
     from scipy.special import stdtr
 
@@ -118,8 +117,8 @@ def any_false(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
 def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return wheels' variances beside those of the fleet, and their degrees of freedom (Smyth 2004).
 
-    Variances vary between wheels as an inverse chi-squared, whose degrees of freedom are taken two standard errors low.
-    None falls below its own: one wheel's sessions may scatter as no other's.
+    The inverse chi-squared of variances has degrees of freedom two standard errors low. None falls below its own: one
+    wheel's sessions may scatter as no other's.
     """
     from scipy.special import digamma, polygamma
 

@@ -88,7 +88,7 @@ Vehicle = tuple[str, Sequence[Kept]]
 
 
 def records_of(vehicles: Sequence[Vehicle]) -> list[VehicleRecord]:
-    """Return vehicles' records."""
+    """See `record_of`."""
     return [record_of(name, [PartSums.from_dict(kept.values()) for kept in parts]) for name, parts in vehicles]
 
 
@@ -248,7 +248,11 @@ def survey_fleet(
     members = {member.vehicle: member for member in members_of(folder)}
     with engine(workers, scheduler) as opened:
         path, task = into / f"{what}.jsonl", partial(_results, what)
-        kept, n_new = renewed(path, members, opened, task, _given_up, progress, "vehicles", lambda _member: WEIGHT)
+
+        def given_up(member: Member, why: str) -> Kept:
+            return Kept.of(VehicleResult(member.vehicle, "", why=why))
+
+        kept, n_new = renewed(path, members, opened, task, given_up, progress, "vehicles", lambda _member: WEIGHT)
     records = tuple(VehicleResult(**kept[name].values()) for name in members)
     labels = labels_of(folder, tuple(members.values()))
     shared = comparison.shared_causes(records, labels)
@@ -266,10 +270,6 @@ def _results(what: str, members: Sequence[Member]) -> list[Kept]:
         except (CalibError, OSError) as error:
             results.append(VehicleResult(member.vehicle, key, why=one_line(error)))
     return list(map(Kept.of, results))
-
-
-def _given_up(member: Member, why: str) -> Kept:
-    return Kept.of(VehicleResult(member.vehicle, "", why=why))
 
 
 def _quantities(records: Sequence[VehicleResult], labels: Labels) -> Quantities | None:

@@ -201,7 +201,7 @@ def renewed(
 ) -> tuple[dict[str, Kept], int]:
     """Do a task for each new or changed source; return all records, and how many were done now.
 
-    `path`: file of records, sorted in the end; `sources`: by record name; for the others see `Engine.run`.
+    `path`: of the sorted records; `sources`: by record name; for the others see `Engine.run`.
     """
     before, keys = _read(path), Keys()
     records = {name: before[name] for name, source in sources.items() if keys.hold(before.get(name), source)}
@@ -248,7 +248,7 @@ DIGEST_BYTES: Final = 16
 
 
 class Keys:
-    """Makes keys of files, of their bytes and calib's version; shared settings are read once."""
+    """Makes keys of files' bytes and calib's version; shared settings are read once."""
 
     def __init__(self) -> None:
         self._settings: dict[Path, str] = {}

@@ -213,7 +213,7 @@ class WheelSums:
     @property
     def means(self) -> FloatArray:
         """Mean load, radius and day of each session, shape (n_sessions, 3)."""
-        return np.asarray(self.table[:, [1, 2, 6]] / self.table[:, :1])
+        return self.table[:, [1, 2, 6]] / self.table[:, :1]
 
 
 def _pairs(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -258,7 +258,7 @@ class _Blocks:
 
 
 def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, float]:
-    """Return an estimate with intervals for autocorrelated runs, and their significant autocorrelation."""
+    """See `calib.radius.sessions.widened`."""
     from scipy.special import ndtr
 
     blocks = _blocks_of(estimate, sums)

@@ -45,14 +45,15 @@ def engine(workers: int = 1, scheduler: str = "") -> "Iterator[Engine]":
 
     Raises RefusedError where the scheduler does not answer.
     """
-    with closing(DaskEngine(scheduler) if scheduler else ProcessEngine(workers) if workers > 1 else Engine()) as opened:
+    made = DaskEngine(scheduler) if scheduler else _ProcessEngine(workers) if workers > 1 else Engine()
+    with closing(made) as opened:
         yield opened
 
 
 def batches(
     items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
 ) -> list[Sequence[Item]]:
-    """Cut items into batches in order; for `weigh` see `Engine.run`.
+    """Cut items into batches in order; see `Engine.run`.
 
     `largest`, `smallest`: work in a batch, but for a single larger item and the last.
     """
@@ -116,9 +117,8 @@ class Engine:
     ) -> Iterator[Result]:
         """Run a task on all items and yield the results as they come, one an item.
 
-        Items of a worker that dies are tried again one by one. `task`: a module's function, from items to a result for
-        each; `given_up`: makes the result of an item that took its worker down twice, from item and reason; `weigh`:
-        work that an item is.
+        Items of a worker that dies are tried again one by one. `task`: a module's function; `given_up`: makes the
+        result of an item that took its worker down twice, from item and reason; `weigh`: work that an item is.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []
@@ -157,34 +157,25 @@ class Engine:
                 broken = False
 
 
-class ProcessEngine(Engine):
-    """Processes of this machine, started at once."""
-
+class _ProcessEngine(Engine):
     batch = PROCESS_BATCH
+    workers = 0
 
     def __init__(self, workers: int) -> None:
-        self._workers, self.most_submitted = workers, 2 * workers
+        self.workers, self.most_submitted = workers, 2 * workers
         if _may_fork():
             _import_modules(SHARED_MODULES)
         self._pool = self._started()
         # the first task makes the workers, while this process has no other thread
         self._pool.submit(int)
 
-    @property
-    def workers(self) -> int:
-        """How many processes there are."""
-        return self._workers
-
     def close(self) -> None:
-        """End the processes."""
         self._pool.shutdown(cancel_futures=True)
 
     def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
-        """Begin a batch in a process."""
         return self._pool.submit(task, batch)
 
     def renew(self) -> None:
-        """Start other processes; raises RefusedError where they die before their first task."""
         self.close()
         self._pool = self._started()
         try:
@@ -197,7 +188,7 @@ class ProcessEngine(Engine):
 
     def _started(self) -> ProcessPoolExecutor:
         context = get_context("fork") if _may_fork() else _server()
-        return ProcessPoolExecutor(self._workers, mp_context=context, initializer=_begin_worker)
+        return ProcessPoolExecutor(self.workers, mp_context=context, initializer=_begin_worker)
 
 
 def _may_fork() -> bool:
@@ -270,7 +261,7 @@ class DaskEngine(Engine):
 
     @property
     def workers(self) -> int:
-        """How many threads the workers have."""
+        """See `Engine`."""
         threads: int = sum(self._client.nthreads().values())
         return max(1, threads)
 
@@ -280,7 +271,7 @@ class DaskEngine(Engine):
             self._client.close(timeout=CLOSE_S)
 
     def submit(self, task: Task[Item, Result], batch: Sequence[Item]) -> Future[list[Result]]:
-        """Give a batch to the scheduler, as bytes."""
+        """See `Engine`."""
         from distributed.protocol import serialize
 
         future: Future[list[Result]] = self._executor.submit(_unpacked, *serialize((task, batch)))
@@ -298,7 +289,7 @@ class DaskEngine(Engine):
             raise self._lost(error) from error
 
     def ask(self) -> None:
-        """Raise RefusedError where the scheduler does not answer."""
+        """See `Engine`."""
         try:
             self._client.sync(self._client.scheduler.identity, callback_timeout=ANSWER_S)
         except (OSError, TimeoutError) as error:

@@ -91,6 +91,7 @@ def _fill_arrays(flat: _Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *
 
 
 def _shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: FloatArray) -> None:
+    # arc lengths (n,) to chords in place; the last two arrays are overwritten
     np.multiply(turn, turn, out=square)
     if float(square.max()) <= _SMALL_TURN_RAD**2:
         np.multiply(square, 1.0 / 1920.0, out=work)

@@ -214,10 +214,8 @@ def law_path(
 
 
 def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return each wheel's part of the variance of `COMPONENTS`, (5, 2), and its degrees of freedom.
-
-    Fitted together they are one part, (5, 1). `slopes` (5, 5): change of these by parameters of covariance `spread`.
-    """
+    # each wheel's part of the variance of `COMPONENTS`, (5, 2), and its degrees of freedom; fitted together one part,
+    # (5, 1); slopes (5, 5): their change by parameters of covariance `spread`
     variance, dof = [], []
     for wheel, part in ((law.left, slice(0, 2)), (law.right, slice(2, 4))):
         contrast = slopes[:, part]
@@ -314,9 +312,9 @@ def law_journey(
 
     Wheels fitted apart err independently; radii and track fitted together, as their joint covariance says.
 
-    `loads_N`, `reference_N`: loads (left, right) carried, and those that the uncorrected odometry stands on; `band`:
-    uncertainty of the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not
-    known, also of single runs whose scatter was not estimated, or `draws` below 100.
+    `loads_N`, `reference_N`: loads (left, right) carried, and those of the uncorrected odometry; `band`: uncertainty of
+    the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not known, also of
+    single runs whose scatter was not estimated, or `draws` below 100.
     """
     if band not in (bands := BANDS[: 1 + law.scatters]) or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(bands)} and 100 draws or more")
@@ -369,10 +367,8 @@ def law_journey(
 def _scatter(
     law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
 ) -> tuple[FloatArray, IntArray, FloatArray, list[float], FloatArray]:
-    """Return a root (3, k) of the covariance of radii and track, the scale of each column, drawn scales, dof, errors.
-
-    A wheel has a scale of its own, what was fitted together has one, and a stated track is as certain as stated.
-    """
+    # root (3, k) of the covariance of radii and track, each column's scale, drawn scales, dof, errors: a wheel has a
+    # scale of its own, what was fitted together has one, and a stated track is as certain as stated
     dof = [
         float(w.dof_of(w.contrast(load), single_run=single))
         for w, load in zip((law.left, law.right), loads_N, strict=True)

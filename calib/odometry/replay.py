@@ -138,7 +138,7 @@ def replay(
         rms_heading_rad={by: float(np.sqrt(np.mean(errors[by].heading_rad[in_range] ** 2))) for by in METHODS},
         ratio=rms["constant"] / rms["corrected"],
         ratio_ci95=(float(low), float(high)),
-        runtime=NOT_FED if by_geometry else runtime_check(chosen, coefficients, runs=runtime_runs),
+        runtime=NOT_FED if by_geometry else _runtime_check(chosen, coefficients, runs=runtime_runs),
         left_out=left_out,
         by_geometry=by_geometry,
         notes=notes,
@@ -230,7 +230,7 @@ def carried_loads_N(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
 def stood_in(campaign: Campaign, model: OdometryModel, *, scheme: str = "exact") -> tuple[Poses, FloatArray]:
     """Return the poses (n_samples,) of logs without rear wheels, each run from (0, 0, 0), and each step's way.
 
-    The model has front wheel or four wheels. The way, also sideways, is 0 at the first sample of a run.
+    The way, also sideways, is 0 at the first sample of a run.
     """
     axle = on_one_axle(campaign, model)
     columns, offsets = axle.logs.columns, axle.logs.offsets
@@ -269,8 +269,7 @@ class RuntimeCheck:
 NOT_FED: Final = RuntimeCheck(0, 0, float("nan"), float("nan"), {})
 
 
-def runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: int) -> RuntimeCheck:
-    """Feed the vehicle's runtime the logs of the first `runs` and compare all accepted samples with the arrays."""
+def _runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: int) -> RuntimeCheck:
     odometer = Odometer(Coefficients.parse(coefficients.to_bytes().decode("utf-8")))
     carried = np.stack(carried_loads_N(campaign), axis=1)
     faults: Counter[str] = Counter()

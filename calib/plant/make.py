@@ -169,10 +169,7 @@ def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
 
 
 def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng: np.random.Generator) -> list[Cause]:
-    """Return causes with all their knobs drawn.
-
-    A truth may be effect (or ``effect/form``) -> size; a size that is not a number takes the typical one.
-    """
+    """Return causes with all their knobs drawn; for `truth` see `make_campaign`."""
     if not isinstance(truth, Mapping):
         return list(truth)
     causes = []
@@ -206,8 +203,8 @@ def make_campaign(
 ) -> Campaign:
     """Drive a design in a world with a known truth, in memory; see `calib.campaign.tables.write_campaign`.
 
-    `truth`: ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size; empty is no gap. `noise`, `model`
-    (what the simulator believes): drawn at random where missing.
+    `truth`: ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size. `noise`, `model` (what the
+    simulator believes): drawn at random where missing.
     """
     return make_campaigns(design, truth, rng, noise=noise, model=model, names=(name,))[0]
 

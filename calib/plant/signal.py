@@ -162,10 +162,7 @@ def strengths(
     step_s: float = 0.02,
     weigh: bool = True,
 ) -> Strength:
-    """Drive without noise, without any cause and with each; see `Strength`.
-
-    `weigh`: whether to fill `alone` and `beside`.
-    """
+    """Drive without noise, without any cause and with each; see `Strength`; `weigh`: fill `alone` and `beside`."""
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
         # end poses need no fine log
@@ -203,10 +200,7 @@ def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
 def to_signal(
     design: Design, model: OdometryModel, noise: Noise, causes: Sequence[Cause], targets: Sequence[float]
 ) -> tuple[list[Cause], Noise, Strength]:
-    """Scale causes to wanted signals, each alone (NaN: as it is), and return what was reached.
-
-    Rather than far from typical sizes, the noise is changed first; see `Strength`.
-    """
+    """Scale causes to wanted signals, each alone (NaN: as it is), the noise first; see `Strength`."""
     wanted = floats(targets)
     sizes = np.array([cause.size for cause in causes])
     typical = np.array([find(cause.effect, cause.form).typical for cause in causes])
@@ -304,7 +298,7 @@ class Alternatives:
     driven: Strength  #: of the cause first, then of each variant
 
     def families(self) -> dict[tuple[str, str], list[int]]:
-        """Return the numbers of the variants that add up to one form of one effect; the cause is number 0."""
+        """Return the numbers of the variants of each form of an effect; the cause is number 0."""
         # one wheel or the other, never both
         numbered = enumerate(self.variants, start=1)
         return grouped(((one.effect, f"{one.form}{one.knobs.get('right', '')}"), number) for number, one in numbered)

@@ -277,7 +277,7 @@ Draw = Callable[[np.random.Generator, Design], dict[str, float]]
 
 
 def drawn(**ranges: tuple[float, float]) -> Draw:
-    """Return a draw of knobs, each evenly from its range."""
+    """Draw knobs evenly from their ranges."""
     return lambda rng, _: {name: float(rng.uniform(low, high)) for name, (low, high) in ranges.items()}
 
 

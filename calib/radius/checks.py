@@ -252,7 +252,7 @@ def _on_one_load(fit: WheelFit) -> str:
 
 
 def without_loads(wheel: WheelFit) -> WheelFit:
-    """Return the fit with what its checks say where no load is given."""
+    """Return the fit with the words of its checks where no load is given."""
     words = "No run's load is given: add load_left_N and load_right_N to runs.csv."
 
     def changed(check: Check) -> Check:

@@ -57,8 +57,7 @@ def arc_of_radii_rad(
 ) -> FloatArray:
     """Return the turn of a vehicle that holds equal wheel rates on wheels of unequal radii (Fig. 8a).
 
-    `distance_m`: path of the middle of the axle; `radius_left_m`, `radius_right_m`: true radii of wheels that the
-    vehicle takes for equal. Left turns are positive.
+    `distance_m`: path of the middle of the axle; the radii are the true ones. Left turns are positive.
     """
     left, right = floats(radius_left_m), floats(radius_right_m)
     return np.asarray(floats(distance_m) * 2 * (right - left) / ((right + left) * track_m))
@@ -116,23 +115,11 @@ def _largest(error: Callable[[FloatArray], FloatArray], most: ArrayLike, bracket
 def deviation_rows(
     amplitudes_m: ArrayLike, wavelengths_m: ArrayLike, distance_m: float, track_m: float, tolerance: float
 ) -> list[dict[str, float]]:
-    """Return the table of Fig. 9: one mapping for each pair of amplitude and wavelength.
+    """Return the table of Fig. 9: a mapping for each pair of amplitude (n,) and wavelength (m,), from phase 0.
 
-    Raises BadInputError where a length is not positive.
-
-    Parameters
-    ----------
-    amplitudes_m, wavelengths_m : array_like of float, shapes (n,) and (m,)
-        A and lambda.
-    distance_m, track_m
-        S_O, and distance between the wheels' contact points; the path starts at phase 0.
-    tolerance
-        Largest relative error of a radius, for the amplitude that is allowed.
-
-    Returns
-    -------
-    list of mapping
-        Relative excesses over whole periods and `distance_m`, errors of radii without correction, amplitude allowed.
+    It holds relative excesses over whole periods and `distance_m`, errors of radii without correction, and the
+    amplitude that keeps a radius within a relative `tolerance`; see `weave_excess`. Raises BadInputError where a length
+    is not positive.
     """
     lengths = {"amplitude": amplitudes_m, "wavelength": wavelengths_m, "distance": distance_m, "track": track_m}
     for name, given in lengths.items():

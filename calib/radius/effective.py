@@ -158,9 +158,9 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
 def effective_radii(campaign: Campaign) -> EffectiveRadii:
     """Return the effective radius of each wheel and run that can be used.
 
-    The path is corrected by what shows it apart from the radii: the weave in a run's log, the measured heading at its
-    end, or measured amplitude and wavelength. Total counts never do: a steady arc and unequal radii leave the same
-    difference, and correcting for it would make the radii equal.
+    The path is corrected by the weave in a run's log, the measured heading at its end, or measured amplitude and
+    wavelength; never by total counts: a steady arc and unequal radii leave the same difference, and correcting for it
+    would make the radii equal.
 
     Raises RefusedError where no run can be used.
     """

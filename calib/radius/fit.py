@@ -72,7 +72,7 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
         unchecked = fit_wheel(side, load, radius, radii.session, reference_load_N=reference_load_N)
         checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
         wheels.append(with_instrument_checks(checked, radii.distance_m, std, radii.session))
-    wheels = held_against_residuals(radii, wheels)
+    wheels = _held_against_residuals(radii, wheels)
     radii = replace(radii, budget=(*radii.budget, *effective.observed_components(radii, *wheels)))
     return Fit(name, simulated, wheels[0], wheels[1], radii, notes=radii.notes)
 
@@ -111,7 +111,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, n
         if not any(source.section == "path" for source in sources) and np.isnan(used.number("ref_theta_rad")).all():
             # two wheels' paths to a bow: b times its turn of 8 h / S, half of it each
             per_bow = 4.0 * campaign.vehicle.track_m * wheel.radius_m / radii.distance_m**2
-            wheel = with_path_check(wheel, float(per_bow.mean()), steered_itself_m(campaign))
+            wheel = _with_path_check(wheel, float(per_bow.mean()), steered_itself_m(campaign))
         wheels[name] = wheel
     static, notes = _static(campaign, reference)
     stated = (campaign.vehicle, campaign.encoder, campaign.model, campaign.rangefinder, campaign.reference)
@@ -237,11 +237,8 @@ def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Ch
     yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
 
 
-def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
-    """Return `fit` with the check whether unmeasured paths are straight on the whole.
-
-    `radius_per_bow`: what a bow of all runs moves the radius by; `apart_m`: see `steered_itself_m`.
-    """
+def _with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
+    # radius_per_bow: what a bow of all runs moves the radius by
     moved, level = f"{UM * 0.01 * radius_per_bow:.2g} um", NOTE
     sentence = (
         "No run's heading at the end was measured: the paths are taken for straight. A bow of 1 cm, the same in all "
@@ -289,7 +286,7 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     return replace(fit, checks=(*fit.checks, check))
 
 
-def held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
+def _held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
     """Return the wheels' fits, failed where runs scatter beyond instruments and paths and the loads do not say why.
 
     That is where the law leaves most of what the runs differ by, or another reading of the table leaves far less.
@@ -326,10 +323,7 @@ def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
 
 
 def _other_reading(radii: EffectiveRadii) -> str:
-    """Return the readings of the table that explain both wheels' radii best; empty where chance may be as good.
-
-    Chance: the ratio of the squares to the power of half their degrees of freedom (of one wheel), times the readings.
-    """
+    # chance: the ratio of the squares to the power of half their degrees of freedom (of one wheel), times the readings
     loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
     radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))
     days, n = groups_of(radii.session).indicators, len(loads)

@@ -70,9 +70,7 @@ def whole_period_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> Floa
     """Return the relative excess of ``y = A sin(2 pi x / lambda)`` over whole periods, equal for centre and wheels.
 
     ``(2 / pi) sqrt(1 + u) E(m) - 1`` with ``u = (2 pi A / lambda)^2``, E the complete elliptic integral of the second
-    kind and ``m = u / (1 + u)`` (Fig. 9).
-
-    `amplitude_m`, `wavelength_m`: A and lambda, of shapes that broadcast.
+    kind and ``m = u / (1 + u)`` (Fig. 9). A and lambda broadcast.
     """
     from scipy.special import ellipe
 
@@ -89,8 +87,7 @@ def small_amplitude_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> F
 def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> PathExcess:
     """Return the relative excess of a steady arc over its chord (Fig. 8a).
 
-    `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord; `track_m`: distance between the
-    wheels' contact points. The arguments broadcast.
+    `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord. The arguments broadcast.
     """
     yaw, distance = np.broadcast_arrays(floats(yaw_rad), floats(distance_m))
     # np.sinc is sin(pi x) / (pi x)
@@ -267,8 +264,8 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
     The model is ``heading = offset + trend s + atan(dy/dx)`` with ``dy/dx = p cos(k x) + q sin(k x)``; it is fitted by
     Gauss-Newton over all runs at once, x being the progress along the axis under the present weave.
 
-    `rolled_m` (shape (n,)): path of the axle's middle; `heading_rad` (shape (n, m)): heading from the counts at m equal
-    steps from 0 to `rolled_m`. Returns the fields of `Weaves`, shape (7, n).
+    `rolled_m` (shape (n,)): path of the axle's middle; `heading_rad` (shape (n, m)): at m equal steps from 0 to that.
+    Returns the fields of `Weaves`, shape (7, n).
     """
     n, m = heading_rad.shape
     u = np.broadcast_to(np.linspace(0.0, 1.0, m), (n, m))
@@ -320,6 +317,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
 def _without_diverged(
     heading_rad: FloatArray, u: FloatArray, line: FloatArray, wave: FloatArray, weave: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
+    # the trend alone where line and wave diverged with opposite signs
     off = u - 0.5
     trend = (off * heading_rad).sum(axis=1) / (off * off).sum(axis=1)
     plain = np.stack([heading_rad.mean(axis=1) - 0.5 * trend, trend])

@@ -13,7 +13,7 @@ from scipy.special import stdtrit
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
 from calib.radius import sessions
-from calib.radius.law import JOINT, UPPER, LineEstimate, RadiusLaw, WheelLaw
+from calib.radius.law import UPPER, LineEstimate, RadiusLaw, WheelLaw
 from calib.radius.sessions import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
@@ -352,8 +352,7 @@ def paired_law(left: WheelFit, right: WheelFit, groups: sessions.Groups) -> Radi
     block += of_sessions * _shared(estimates[0].cov_between, estimates[1].cov_between, alike)
     # each source moves both wheels
     block += estimates[0].systematic.T @ estimates[1].systematic
-    joint = np.zeros((len(JOINT), len(JOINT)))
-    joint[:2, :2], joint[2:4, 2:4] = (estimate.covariance for estimate in estimates)
+    joint = RadiusLaw(left.law, right.law).covariance()
     joint[:2, 2:4], joint[2:4, :2] = block, block.T
     variances = ([getattr(one, f"{of}_variance") for one in estimates] for of in ("run", "session"))
     scatter = np.dot((of_runs, of_sessions), [np.sqrt(np.prod(pair)) for pair in variances])
@@ -366,6 +365,7 @@ def _cosine(one: FloatArray, other: FloatArray) -> float:
 
 
 def _shared(one: FloatArray, other: FloatArray, alike: float) -> FloatArray:
+    # of fully correlated errors, (2, 2); alike: correlation of the loads
     slopes, sizes = [], []
     for own in (one, other):
         slope = own[:, 1] / np.sqrt(own[1, 1]) if own[1, 1] > 0.0 else np.zeros(2)

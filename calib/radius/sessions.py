@@ -167,10 +167,8 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
 def _of_sessions(
     departures: FloatArray, sizes: FloatArray, dof_between: float, run_variance: float, dof_within: float
 ) -> tuple[float, dict[str, Any]]:
-    """Return the mean square of session means about the law, and an estimate's fields by it.
-
-    Where few agree by chance an interval is as wide as by the runs alone.
-    """
+    # the mean square of session means about the law, and an estimate's fields by it; where few agree by chance an
+    # interval is as wide as by the runs alone
     weight, explained = 1.0 / (WORKING_RATIO + 1.0 / sizes), run_variance * float(np.mean(1.0 / sizes))
     square = float(weight @ departures**2) / dof_between
     of_runs, of_sessions = stdtrit([dof_within, dof_between], 0.975).tolist()
@@ -288,7 +286,7 @@ def autocorrelation(series: _Series) -> Autocorrelation:
 
 
 def rho_at(lag_one: float, expected: Callable[[float], float]) -> float:
-    """Return the least autocorrelation, to `PRECISION`, whose expected lag one, which rises with it, is not below."""
+    """Return the least autocorrelation, to `PRECISION`, whose expected lag one is not below."""
     low, high = 0.0, LARGEST
     while high - low > PRECISION:
         middle = 0.5 * (low + high)

@@ -178,21 +178,21 @@ def _moment_slider(source: ColumnDataSource) -> Model:
 def _covariate_panel(
     gap: GapArrays, source: ColumnDataSource, after: figure, band: Model
 ) -> tuple[figure, list[Model]]:
-    first, units = first_channel(gap), channel_units(gap)
+    first, units = _first_channel(gap), _channel_units(gap)
     plot = _figure("The gap against covariates", "order driven", f"{first} ({units[first]})")
     _points(plot, "x", "y", source)
-    titles = covariate_titles(gap)
+    titles = _covariate_titles(gap)
     by = Select(title="gap against", value="order driven", options=list(titles.items()), width=160)
     channel = Select(title="channel", value=first, options=list(units), width=120)
     axes = {"x": plot.xaxis[0], "y": plot.yaxis[0], "b": after.xaxis[0], "a": after.yaxis[0]}
-    texts = {"units": units, "labels": titles, "limits": noise_limits(gap)}
+    texts = {"units": units, "labels": titles, "limits": _noise_limits(gap)}
     chosen = {"source": source, "by": by, "channel": channel, "band": band, **axes, **texts}
     return plot, [_changed(control, "choose", **chosen) for control in (channel, by)]
 
 
 def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:
-    first = first_channel(gap)
-    unit, limit = channel_units(gap)[first], noise_limits(gap)[first]
+    first = _first_channel(gap)
+    unit, limit = _channel_units(gap)[first], _noise_limits(gap)[first]
     plot = _figure(
         "Before and after the correction, on held-out runs", f"{first} before ({unit})", f"{first} after ({unit})"
     )
@@ -244,7 +244,7 @@ def _legend(gap: GapArrays) -> Model:
 
 
 def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> Model:
-    titles = covariate_titles(gap)
+    titles = _covariate_titles(gap)
     columns = {name: name for name in LABELS} | {f"by {name}": title for name, title in titles.items()}
     choice = Select(name="colour", title="colour by", value=LABELS[0], options=list(columns.items()), width=160)
     scales = {"palette": COLOURS, "ramp": RAMP, "titles": columns, "most": LEGEND_NAMES}
@@ -338,7 +338,7 @@ def panel_columns(
     for channel, (name, _) in enumerate(gap.channels):
         columns[f"before {name}"] = 1e3 * gap.before[:, channel]
         columns[f"after {name}"] = 1e3 * gap.after[:, channel]
-    first = first_channel(gap)
+    first = _first_channel(gap)
     columns["x"] = columns["by order driven"]
     columns["y"] = columns["b"] = columns[f"before {first}"]
     columns["a"] = columns[f"after {first}"]
@@ -359,26 +359,23 @@ def panel_columns(
     return columns
 
 
-def first_channel(gap: GapArrays) -> str:
-    """Return the channel whose gap is largest against its noise level."""
+def _first_channel(gap: GapArrays) -> str:
     ratios = [rms(column) for column in (gap.before / np.where(gap.noise_level > 0, gap.noise_level, np.nan)).T]
     return gap.channels[int(np.nanargmax(ratios)) if np.isfinite(ratios).any() else 0][0]
 
 
-def channel_units(gap: GapArrays) -> dict[str, str]:
-    """Return the unit that each measured channel is drawn in, by its name."""
+def _channel_units(gap: GapArrays) -> dict[str, str]:
     measured = np.asarray(np.isfinite(gap.before).any(axis=0))
     return {name: f"m{unit}" for (name, unit), on in zip(gap.channels, measured, strict=True) if on}
 
 
-def noise_limits(gap: GapArrays) -> dict[str, float]:
+def _noise_limits(gap: GapArrays) -> dict[str, float]:
     """Return two standard deviations of the noise of each measured channel, in mm or mrad, by its name."""
     limits = {name: 2e3 * rms(column) for (name, _), column in zip(gap.channels, gap.noise_level.T, strict=True)}
-    return {name: float(np.nan_to_num(limits[name])) for name in channel_units(gap)}
+    return {name: float(np.nan_to_num(limits[name])) for name in _channel_units(gap)}
 
 
-def covariate_titles(gap: GapArrays) -> dict[str, str]:
-    """Return what the gap can be drawn against and coloured by: its name in the table -> with its unit."""
+def _covariate_titles(gap: GapArrays) -> dict[str, str]:
     return {"order driven": "order driven"} | {name: with_unit(name) for name in gap.covariates}
 
 

@@ -133,11 +133,7 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
 
 
 def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose left and right counts are exchanged.
-
-    A run is mirrored where minus the logarithm of right over left counts fits its loads and the logarithm does not,
-    unless it is usual for such loads.
-    """
+    """Find runs of which minus the logarithm of right over left counts fits the loads, and the logarithm does not."""
     left, right = (campaign.runs.number(f"counts_{side}") / campaign.encoder.per_rev(side) for side in SIDES)
     usable = np.flatnonzero((left > 0) & (right > 0) & (campaign.runs.number("distance_m") > 1.0))
     if len(usable) < 5:

@@ -65,7 +65,7 @@ implausible_setting: Final = partial(setting_note, code="implausible", level="wr
 
 
 def both_sides(campaign: Campaign, quantity: str) -> FloatArray:
-    """Return ``counts_{}`` or ``load_{}_N`` of the left and the right wheel, shape (2, n_runs)."""
+    """Return ``counts_{}`` or ``load_{}_N`` of both wheels, shape (2, n_runs)."""
     return np.stack([campaign.runs.number(quantity.format(side)) for side in SIDES])
 
 
@@ -93,7 +93,7 @@ _NEAR_TURN_RAD: Final = 1.0
 def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     """Return how far the reference turned in each run, and the turns it is off the wheels, infinite where not whole.
 
-    Headings all within half a turn were wrapped, which is undone; on a map runs turned as their logs say.
+    Headings all within half a turn are unwrapped; on a map runs turned as their logs say.
     """
     measured, turned = campaign.runs.number("ref_theta_rad"), turned_rad(campaign)
     if campaign.reference.frame == "map":
@@ -122,7 +122,7 @@ def raw_radius_ratio(campaign: Campaign, side: str) -> FloatArray:
 
 
 def robust_spread(values: FloatArray) -> float:
-    """Return the standard deviation by the median absolute deviation; 0 without values."""
+    """Return 1.4826 times the median absolute deviation; 0 without values."""
     values = values[np.isfinite(values)]
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 

@@ -179,7 +179,7 @@ _REAR_SHARE: Final = (0.2, 1.05)
 
 
 def _allowed(total: FloatArray) -> FloatArray:
-    return np.asarray(np.maximum(15.0, 0.05 * np.abs(total)))
+    return np.maximum(15.0, 0.05 * np.abs(total))
 
 
 def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
@@ -211,7 +211,7 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
 def _slopes(x: FloatArray, y: FloatArray) -> FloatArray:
     step = 1 + len(x) // _MOST_OF_A_LINE
     more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (x, y))
-    return np.asarray(rise[more > 0.0] / more[more > 0.0])
+    return rise[more > 0.0] / more[more > 0.0]
 
 
 def off_line(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -219,7 +219,7 @@ def off_line(x: FloatArray, y: FloatArray) -> FloatArray:
     known = np.isfinite(x + y)
     slopes = _slopes(x[known], y[known]) if known.sum() >= _LEAST_OF_A_LINE else np.zeros(0)
     line = np.median(slopes) * np.where(np.isnan(x), np.median(x[known]), x) if len(slopes) else np.zeros(len(x))
-    return np.asarray(y - line - (np.median((y - line)[known]) if known.any() else 0.0))
+    return y - line - (np.median((y - line)[known]) if known.any() else 0.0)
 
 
 def _unit_of_shares(shares: FloatArray) -> str:

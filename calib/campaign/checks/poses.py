@@ -99,11 +99,7 @@ def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[
 
 
 def _bows(campaign: Campaign) -> _Bows:
-    """Return how far nearly straight runs bow out; nothing where too few were measured and logged.
-
-    That is the end's offset less half its heading times the distance: unequal wheels leave it alone, a wrong track
-    scales it.
-    """
+    # the end's offset less half its heading times the distance: unequal wheels leave it alone, a wrong track scales it
     runs, logs = campaign.runs, campaign.logs
     theta = runs.number("ref_theta_rad")
     used = np.flatnonzero(_straight(campaign) & np.isfinite(theta) & (np.abs(theta) < 0.3) & (logs.lengths >= 20))

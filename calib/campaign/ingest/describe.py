@@ -65,8 +65,7 @@ RUNS_HEADER: Final = (
 
 
 @cache
-def blank_settings() -> str:
-    """Return an empty campaign's settings: every key with an example and a remark."""
+def _blank_settings() -> str:
     return resources.files("calib.campaign.ingest").joinpath("blank.toml").read_text(encoding="utf-8")
 
 
@@ -208,7 +207,7 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
         remark = "" if lines else "   # state what you know; keys omitted are marked as assumed"
         lines += ["", f"[{section}]{remark}"]
         for key in (*(("drive",) if section == "vehicle" else ()), *STATED[section]):
-            [meaning] = re.findall(rf"^#{key} .*# (.*)", blank_settings(), re.MULTILINE)
+            [meaning] = re.findall(rf"^#{key} .*# (.*)", _blank_settings(), re.MULTILINE)
             lines += [line or f"#{key} =   # {meaning}" for line in others.get(key, ("",))]
     return lines
 
@@ -220,7 +219,7 @@ def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
     """
     settings, runs, logs = (folder / name for name in ("campaign.toml", "runs.csv", "logs"))
     refuse_existing([settings, runs], force=force)
-    write_text(settings, to_toml({"format": FORMAT, "name": folder.resolve().name}) + blank_settings(), force=force)
+    write_text(settings, to_toml({"format": FORMAT, "name": folder.resolve().name}) + _blank_settings(), force=force)
     write_text(runs, RUNS_HEADER + "\n", force=force)
     logs.mkdir(exist_ok=True)
     return settings, runs, logs

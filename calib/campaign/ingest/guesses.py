@@ -104,9 +104,9 @@ def guessed_table_column(name: str) -> str | None:
 
 
 def reading_of(name: str) -> tuple[str, str] | None:
-    """Return what a column of readings gives as a difference, and ``start`` or ``end``; else None.
+    """Return the distance or counts whose ``start`` or ``end`` (also returned) a column reads; else None.
 
-    `name`: as ``Laser start [mm]`` or ``Zähler links Ende``. A difference is a distance or a wheel's counts.
+    `name`: as ``Laser start [mm]`` or ``Zähler links Ende``.
     """
     stem, unit = stem_and_unit(name)
     parts, words = _names()["parts"], stem.split("_")
@@ -270,9 +270,7 @@ def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
 
 
 def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:
-    """Estimate and note lags of reference and rangefinder behind the wheels.
-
-    Lags of ``reference`` and ``range_m``, where found.
+    """Estimate and note lags of ``reference`` and ``range_m`` behind the wheels, where found.
 
     `lines`: calib's column -> the recording's; `base`: the stream of the wheels; for a lag see `estimate_lag`.
     """
@@ -314,10 +312,8 @@ def estimate_lag(
 ) -> Lag | None:
     """Estimate by how much the second stream lags behind the first.
 
-    Both speeds are central differences on one grid, smoothed alike; the lag is the peak of their correlation,
-    found on the grid and then between its points.
-
-    None where the speeds change too little to tell, or do not correlate.
+    It is the peak of the correlation of both speeds, central differences smoothed alike; None where these change too
+    little to tell, or do not correlate.
 
     `travelled`: a distance or a heading, at times of its own, shape (n_samples,).
     """

@@ -54,10 +54,9 @@ class MappedLog:
 def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encoder, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
-    `files`: one file, or a rosbag2 folder, under an empty name; or the files that a run's log consists
-    of, by the names that ``log.files`` gives them. `encoder`: counts a revolution, and the counter's width where it is
-    known; `border`: takes notes. Raises BadFileError where a column that the mapping names is missing, or the file has
-    no clock or no wheels.
+    `files`: one file, or a rosbag2 folder, under an empty name; or the files of a run by the names of ``log.files``;
+    `border`: takes notes. Raises BadFileError where a column that the mapping names is missing, or the file has no
+    clock or no wheels.
     """
     path = next(iter(files.values()))
     shown = str(path)
@@ -70,7 +69,7 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
         if "" in files:
             recording = _recording(path, shown, lines, mapping)
         else:
-            recording = gathered(files, lines, mapping)
+            recording = _gathered(files, lines, mapping)
             lines = resolved({name: line for name, line in lines.items() if name != "t_s"}, recording.column_names)
             _refuse_missing(recording.column_names, lines, shown, mapping)
         base = _wheel_stream(recording, lines, shown)
@@ -113,11 +112,7 @@ def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Record
     return recording
 
 
-def gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> Recording:
-    """Return a run's files as streams of a recording, columns called ``name:column``.
-
-    Raises BadFileError where a file has no times.
-    """
+def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> Recording:
     streams: list[Stream] = []
     notes: list[Note] = []
     for tag, path in files.items():

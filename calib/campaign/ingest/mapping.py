@@ -141,10 +141,6 @@ class MappedColumn(_Model):
         unit = self.unit_for(name)
         return name.startswith("load_") and unit in SUFFIXES and SUFFIXES[unit][0] == "kg"
 
-    def fits(self, name: str) -> bool:
-        """Return whether calib's column `name` may have the unit."""
-        return self.unit is None or self.unit in units_for(name)
-
 
 class _Section(_Model):
     sheet: str | None = Field(default=None, description="the name of a sheet")
@@ -169,8 +165,7 @@ class _Section(_Model):
         for name, line in self.columns.items():
             if line.w and (name != "ref_theta_rad" or isinstance(self, TableSection) or line.unit or not line.column):
                 raise _UnfitError(name, line.w, "w of a quaternion for ref_theta_rad in [log] alone, without a unit")
-            if not line.fits(name):
-                units = units_for(name)
+            if line.unit not in (None, *(units := units_for(name))):
                 expected = f"one of {', '.join(units)}" if units else f"no unit, since {name} has none"
                 raise _UnfitError(name, line.unit, expected)
         return self
@@ -307,8 +302,8 @@ _Parsed = TypeVar("_Parsed", bound=BaseModel)
 def parse_section(model: type[_Parsed], section: object, shown: str, where: str) -> _Parsed:
     """Check one section of a mapping.
 
-    `section`: as TOML gives it; `shown`, `where`: names of mapping and section in messages. Raises BadFileError where
-    it is no section, or at the first key that cannot be used.
+    `shown`, `where`: names of mapping and section in messages. Raises BadFileError where it is no section, or at the
+    first key that cannot be used.
     """
     if not isinstance(section, dict):
         raise BadFileError(shown, repr(section)[:60], f"a section [{where}]", "correct the mapping", column=where)

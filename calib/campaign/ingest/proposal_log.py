@@ -139,7 +139,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
 
 
 def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
-    """Drop speeds of one wheel or beside counts, in place; return a bearing taken as heading."""
+    # speeds of one wheel or beside counts are dropped; returned is a bearing taken as heading
     counted = any(name.startswith("counts_") for name in found)
     for name in _SPEEDS if counted or not {*_SPEEDS} <= set(found) else ():
         found.pop(name, None)
@@ -273,7 +273,7 @@ def _turns(column: ColumnContents) -> bool:
 
 
 def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
-    """Find two counters in place, by overflows or whole steps; return what to check."""
+    # two counters, by overflows or whole steps
     rising = [column for column in columns if column.does == RISES]
     kinds = {
         "overflows": [column for column in columns if column.whole and column.wrap_bits],

@@ -151,21 +151,12 @@ def names_runs(raw: RawTable, mapping: Mapping) -> bool:
 
 
 def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, border: Border) -> RunTable:
-    """Return the run table of a laboratory's table.
+    """Return the run table of a laboratory's table; see `run_table`.
 
     Raises BadFileError where the mapping names a column or a text that is not there, or the table cannot be used.
-
-    Parameters
-    ----------
-    raw, mapping
-        The table, and the lines for it.
-    encoder
-        Turns angles of the wheels into counts.
-    shown, border
-        The table's name in messages, and what takes notes.
     """
     lines = resolved(mapping.table.columns, raw.columns)
-    raw = without_repeats(_without_end(raw, lines, shown, border), shown, border)
+    raw = _without_repeats(_without_end(raw, lines, shown, border), shown, border)
     factors: dict[str, float] = {}
     columns: dict[str, npt.NDArray[Any]] = {}
     for name, line in lines.items():
@@ -237,8 +228,7 @@ def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> n
     return object_array(values)
 
 
-def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
-    """Return the table without repeated rows, each noted."""
+def _without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
     first: dict[tuple[str, ...], int] = {}
     keep = np.ones(len(raw.line), dtype=np.bool_)
     for index, (line, *row) in enumerate(zip(raw.line.tolist(), *raw.columns.values(), strict=True)):
@@ -252,10 +242,7 @@ def without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
 def match_logs(
     runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border
 ) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
-    """Find the log of each run.
-
-    By number of the run: its files by the names of ``log.files``, a single one under an empty name; and the
-    name of a missing log.
+    """Return each run's files by the names of ``log.files``, a single one under an empty name; and missing logs' names.
 
     Raises BadFileError where no run finds its log although there are files, or a run finds two; for the table
     see `mapped_runs`.

@@ -51,15 +51,11 @@ def segment_recordings(
     settings: Campaign,
     border: Border,
 ) -> tuple[RunTable, dict[int, MappedLog], dict[str, MappedLog], list[Segment]]:
-    """Cut recordings into runs.
-
-    Returned are the rows, the log of each run by its number, the whole recordings by name with their counters
-    unwrapped, and the part of a recording that each run is.
+    """Return rows, the log of each run by its number, recordings by name, unwrapped, and the part that each run is.
 
     Raises BadFileError where there are not as many segments as rows.
 
-    `runs`: in the order driven (None: numbered), as `recordings`; `table`: as read, for columns of
-    times; see `find_runs`.
+    `runs`: in the order driven (None: numbered), as `recordings`; `table`: as read, for times; see `find_runs`.
     """
     cut = mapping.cut or Segmentation()
     if cut.by == "times" and cut.start and table is not None:
@@ -126,8 +122,7 @@ def find_runs(
 ) -> list[slice]:
     """Return the runs of a recording.
 
-    `log`: times from the recording's start, counts, and ``cut`` where a column tells
-    the runs; see `Segmentation`.
+    `log`: times from the recording's start, counts, and ``cut`` where a column tells the runs; see `Segmentation`.
     """
     time = log["t_s"]
     if cut.by == "times":
@@ -203,9 +198,8 @@ def _seconds(value: Any, start_ns: int, shown: str) -> float:
 def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: bool) -> dict[str, FloatArray]:
     """Return a run's columns with poses in its start frame and the range as distance from the start.
 
-    The start is the median before the wheels turn: one noisy sample does not turn the path.
-
-    `columns` (shape (n_samples,)): of one run; `poses`, `distance`: whether to change these.
+    The start is the median before the wheels turn: one noisy sample does not turn the path. `poses`, `distance`:
+    whether to change these.
     """
     out = dict(columns)
     # samples before the wheels turn
@@ -229,10 +223,7 @@ def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: 
 
 
 def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
-    """Return distance and end pose of a run: medians after the wheels have stopped.
-
-    `columns` (shape (n_samples,)): of one run, its poses and range from the start.
-    """
+    """Return distance and end pose of a run from its start: medians after the wheels have stopped."""
     time, wheels = columns["t_s"], _wheels(columns)
     first = len(time) - 1
     if moving(time, wheels).any():

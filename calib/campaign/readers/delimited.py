@@ -51,9 +51,9 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     """Read a delimited text file."""
     if (size := path.stat().st_size) > 4 << 30:
         raise BadFileError(shown, f"{size} bytes", "at most 4 GiB", "split the file or store it as parquet")
-    data, notes = utf8(path.read_bytes(), shown)
+    data, notes = _utf8(path.read_bytes(), shown)
     if layout.lab:
-        data, tidied = tidy(data.replace(b"\r\n", b"\n"), layout, shown)
+        data, tidied = _tidy(data.replace(b"\r\n", b"\n"), layout, shown)
         notes += tidied
     delimiter, skipped = _locate_header(data, layout, shown)
     start = _after(data, 0, skipped)
@@ -62,13 +62,15 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         raise BadFileError(shown, found, "a header line with column names", "export the table again")
     if delimiter != "," and not any(note.code == "delimiter" for note in notes):
         notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
-    above = split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
+    above = (
+        _split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
+    )
     unit = unit_named((re.findall(rb"Length Units,(\w+)", data[:start]) or [b""])[0].decode())
     above = [f"{cell} [{unit}]" if unit and cell == "Position" else cell for cell in above]
     if wanted is not None and data.find(b'"', start) < 0:
         first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:LOOKED_AT]
         numbers = range(skipped + 1, skipped + 1 + len(first))
-        names, n_rows, recognised = heading(split_cells(first, delimiter), numbers, layout, shown, above)
+        names, n_rows, recognised = heading(_split_cells(first, delimiter), numbers, layout, shown, above)
         _check_names(names, shown, skipped + 1)
         fast = _read_numeric(data[_after(data, start, n_rows) :], names, delimiter, wanted)
         if fast is not None:
@@ -135,7 +137,7 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
         # most logs begin with their header
         lines = _first_lines(data, _FEW_ROWS)
         usual = _first_delimiter(lines)
-        rows = split_cells(lines, usual)
+        rows = _split_cells(lines, usual)
         if len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
             return usual, 0
     lines = _first_lines(data, HEADER_ROWS + (layout.header_row or 0))
@@ -143,14 +145,14 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
         if layout.header_row > len(lines):
             expected = f"the header in row {layout.header_row}"
             raise BadFileError(shown, f"{len(lines)} rows", expected, "correct header_row of the mapping")
-        return find_delimiter(lines[layout.header_row - 1 :]), layout.header_row - 1
+        return _find_delimiter(lines[layout.header_row - 1 :]), layout.header_row - 1
     usual = _first_delimiter(lines)
-    header = find_header(split_cells(lines, usual))
+    header = find_header(_split_cells(lines, usual))
     if header == 0:
         return usual, 0
-    delimiter = find_delimiter(lines)
+    delimiter = _find_delimiter(lines)
     if delimiter != usual:
-        header = find_header(split_cells(lines, delimiter))
+        header = find_header(_split_cells(lines, delimiter))
     if header is None and layout.lab:
         # beneath remarks
         return delimiter, next((at for at, line in enumerate(lines) if line.strip()), 0)
@@ -283,8 +285,7 @@ def _remedy(cells: Sequence[str], names: list[str], delimiter: str) -> str:
     return "complete or remove the row; the file may have been cut"
 
 
-def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
-    """Return the file as UTF-8 without byte order mark, and notes of changes."""
+def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
     notes: list[Note] = []
     encoding = None
     if data.startswith(codecs.BOM_UTF8):
@@ -314,11 +315,9 @@ def utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
     return data, notes
 
 
-def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
-    """Return a text with empty lines for those without cells, and notes.
-
-    Lines that begin with ``#`` are remarks, but for one right above the numbers that names as many columns.
-    """
+def _tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
+    # a text with empty lines for those without cells; lines that begin with # are remarks, but for one right above the
+    # numbers that names as many columns
     notes: list[Note] = []
     if layout.skip_rows:
         lines = data.split(b"\n")
@@ -334,8 +333,8 @@ def tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
         notes.append(Note("info", shown, "columns are separated by blanks", "delimiter"))
     if layout.runs_in_columns:
         rows = data.decode("utf-8").splitlines()
-        mark, out = find_delimiter(rows), io.StringIO()
-        csv.writer(out, delimiter=mark, lineterminator="\n").writerows(turned(split_cells(rows, mark)))
+        mark, out = _find_delimiter(rows), io.StringIO()
+        csv.writer(out, delimiter=mark, lineterminator="\n").writerows(turned(_split_cells(rows, mark)))
         data = out.getvalue().encode("utf-8")
     return data.rstrip(b"\n") + b"\n" if data.strip() else data, notes
 
@@ -374,8 +373,7 @@ def _by_blanks(data: bytes) -> bool:
     return alike and all(is_number(cell) and cell[-1] != "," for row in rows for cell in row)
 
 
-def split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
-    """Return the cells of lines, none over several lines."""
+def _split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
     with suppress(csv.Error):
         rows = list(csv.reader(lines, delimiter=delimiter, strict=True))
         if len(rows) == len(lines):
@@ -383,13 +381,12 @@ def split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
     return [line.split(delimiter) for line in lines]
 
 
-def find_delimiter(lines: Sequence[str]) -> str:
-    """Return the delimiter that splits the most consecutive lines into one number of cells, above one."""
+def _find_delimiter(lines: Sequence[str]) -> str:
     filled = [line for line in lines if line.strip()][:HEADER_ROWS]
     # first of equals: commas as regular as semicolons are decimal
     regular = {}
     for mark in (";", "\t", ","):
-        counts = itertools.groupby(len(row) for row in split_cells(filled, mark))
+        counts = itertools.groupby(len(row) for row in _split_cells(filled, mark))
         regular[mark] = max((len(list(stretch)) for count, stretch in counts if count > 1), default=0)
     best = max(regular, key=lambda mark: regular[mark])
     return best if regular[best] else ","

@@ -24,7 +24,7 @@ from calib.types import FloatArray, IntArray, unwrapped
 
 #: note of message types not read
 UNREAD_TYPES: Final = "skipped"
-#: see `planar_pose`
+#: see `_planar_pose`
 POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 #: squared length: of an unset one 0
 _LEAST_QUATERNION: Final = 0.25
@@ -137,7 +137,7 @@ def check_not_empty(recording: Recording, shown: str) -> None:
     raise BadFileError(shown, f"nothing but {unread}" if unread else "no messages or samples at all", expected, remedy)
 
 
-def planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+def _planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     """Return columns with a quaternion (qx, qy, qz, qw) replaced by its continuous yaw."""
     if "qw" not in columns:
         return dict(columns)
@@ -173,7 +173,7 @@ def record_tum(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> 
             poses.append(pose)
     if not times:
         raise BadFileError(shown, found="no poses", expected="lines of 8 numbers", remedy="export it again")
-    columns = planar_pose(dict(zip(POSE, np.asarray(poses).T.copy(), strict=True)))
+    columns = _planar_pose(dict(zip(POSE, np.asarray(poses).T.copy(), strict=True)))
     kept = {name: values for name, values in columns.items() if wanted is None or wanted(name)}
     units = {"x": "m", "y": "m", "z": "m", "yaw": "rad"}
     stream = Stream("poses", "poses", kept, np.asarray(times, dtype=np.int64), "timestamps of the lines", units)
@@ -247,7 +247,7 @@ class _Buffer:
             time, table = time[order], table[order]
             text = f"{backward} message(s) out of order were sorted by time"
             notes.append(Note("info", f"{shown}, {self.name}", text, "order"))
-        columns = planar_pose(dict(zip(self.names, table.T, strict=True)))
+        columns = _planar_pose(dict(zip(self.names, table.T, strict=True)))
         return Stream(
             name=self.name,
             kind=self.kind,

@@ -77,7 +77,7 @@ def heading(
 ) -> tuple[list[str], int, list[Note]]:
     """Return the columns' names, with units in brackets, how many rows they take, and what was recognised.
 
-    `rows`: the header first; `above`: the row over it; else see `table_rows`.
+    `rows`: the header first; `above`: the row over it; see `table_rows`.
     """
     first = _texts(rows[0])
     found = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
@@ -252,16 +252,8 @@ def table_rows(
     """Return names, and rows and lines beneath the header; of a laboratory's only those of the table, others noted.
 
     A row of one text is a remark, unless it is written as other cells of its column are. A unit that all cells of a
-    column repeat goes into its name.
-
-    Parameters
-    ----------
-    names, n_rows
-        Of the columns, and how many of the rows are the header.
-    rows, lines
-        Cells as read, the header's first; their rows in the file, counted from 1.
-    layout, shown
-        Whether the file is a laboratory's, and its name in messages.
+    column repeat goes into its name. `rows`, `lines`: cells as read, the `n_rows` of the header first, and their rows
+    in the file, from 1; see `heading`.
     """
     heads, rows, lines = [_without_end(_texts(row)) for row in rows[:n_rows]], rows[n_rows:], lines[n_rows:]
     if not layout.lab:

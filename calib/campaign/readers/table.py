@@ -199,18 +199,8 @@ def numbers(
 ) -> tuple[FloatArray, bool]:
     """Return cells as numbers, NaN where empty, and whether a decimal comma was read.
 
-    Raises BadFileError at the first cell that is no finite number, or could be read in two ways.
-
-    Parameters
-    ----------
-    cells, line : shape (n_rows,)
-        Text, numbers or None, and their lines.
-    shown, column
-        File and column, for messages.
-    decimal_comma
-        What the rest of the file says about commas; None where nothing is known, and then ``1,234`` is refused.
-    notes
-        Added to.
+    Raises BadFileError at the first cell that is no finite number, or could be read in two ways. `decimal_comma`: what
+    the rest of the file says; None where nothing is known, and then ``1,234`` is refused; see `comma_evidence`.
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)

@@ -54,11 +54,11 @@ class Covariate(_OfColumn):
         super().__init__(COVARIATE_PREFIX + column, "", column, f"the column {column} of runs.csv")
 
     def centre(self, values: FloatArray) -> Centre:
-        """Return mean and standard deviation of the column."""
+        """See `Proportional`."""
         return Centre(float(np.mean(values)), float(np.std(values)) or 1.0)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return four forms; none where the column has gaps or does not vary."""
+        """See `Effect`."""
         values = self.quantity(observations)
         if not varies(values, 0.0, observations) or self.centre(values).spread <= 1e-12 * float(np.max(np.abs(values))):
             return []
@@ -74,11 +74,6 @@ class Covariate(_OfColumn):
 def covariate_columns(observations: Observations) -> tuple[str, ...]:
     """Return the further numeric columns of a campaign, in its own order."""
     return tuple(name for name in observations.numbers if name not in NUMERIC_COLUMNS)
-
-
-def column_of(effect: str) -> str | None:
-    """Return the column of a covariate's id, None for any other id."""
-    return effect.removeprefix(COVARIATE_PREFIX) if effect.startswith(COVARIATE_PREFIX) else None
 
 
 #: group of entry points under which packages offer classes of effects
@@ -125,7 +120,7 @@ class Declared(_OfColumn):
         self.parameter = Parameter("size", unit, entry.typical, entry.largest)  # type: ignore[misc]
 
     def form(self, values: FloatArray, acts_on: str, parameter: Parameter | None = None, label: str = "") -> Form:
-        """Return the form with the mean of the column among its settings."""
+        """See `Proportional`."""
         return replace(super().form(values, acts_on, parameter, label), settings={"mean": self.centre(values).mean})
 
 

@@ -76,7 +76,7 @@ class Centre:
 
     def deviations(self, values: FloatArray) -> FloatArray:
         """Return how far values lie from the centre, NaN as 0, same shape."""
-        return np.asarray(np.nan_to_num((values - self.mean) / self.spread))
+        return np.nan_to_num((values - self.mean) / self.spread)
 
 
 Perturbations = Callable[[Path], Sequence[Perturbation]]
@@ -231,10 +231,7 @@ def acting_on(path: Path, target: str, values: FloatArray) -> Perturbation:
 
 
 class Proportional(Effect):
-    """An effect that grows with a quantity of each observation, counted from its mean on the campaign.
-
-    An effect of this shape is a declaration: its parameter, the quantity, and what that acts on.
-    """
+    """An effect that grows with a quantity of each observation, counted from its mean on the campaign."""
 
     parameter: ClassVar[Parameter]
     acts_on: ClassVar[str] = "both"  #: see `acting_on`

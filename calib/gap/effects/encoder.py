@@ -8,7 +8,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from calib.gap.effects.effect import Effect, Family, Form, Parameter, Perturbations, acting_on, varies
-from calib.gap.effects.quantities import wheel_size
+from calib.gap.effects.quantities import PAPER_RADIUS_M, mean_radius_m
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict, residuals
 from calib.gap.steps import Perturbation
@@ -34,7 +34,7 @@ class WheelEccentricity(Effect):
     separates = "the log within a run"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms for the left wheel, the right wheel and both; none without logs."""
+        """See `Effect`."""
         if not observations.from_log.any():
             return []
 
@@ -51,7 +51,8 @@ class WheelEccentricity(Effect):
                 }
             return [perturbation for side in sides for perturbation in kept[path][side]]
 
-        typical = 2e-4 * wheel_size(observations)
+        # in proportion to the wheel
+        typical = 2e-4 * min(1.0, mean_radius_m(observations) / PAPER_RADIUS_M)
 
         def form(label: str, sides: Sequence[str]) -> Form:
             names = [f"{side}_{part}" for side in sides for part in ("cos", "sin")]
@@ -96,7 +97,7 @@ class LostCounts(Effect):
     shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return, for each wheel, a constant share and, where speeds differ, three shares that grow with speed."""
+        """See `Effect`."""
         ones = np.ones(len(observations))
         constant = Parameter("share", "1", typical=2e-3, largest=2e-2, sign=1)
         shapes: list[tuple[str, Parameter, dict[str, float]]] = [("constant share", constant, {})]
@@ -140,7 +141,7 @@ def _wheels_mps(observations: Observations) -> FloatArray:
         ways = [np.abs(part.travel_left_m), np.abs(part.travel_right_m)]
         over_way = ways[0] * _wheel_mps(part, "left") + ways[1] * _wheel_mps(part, "right")
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(part.total(over_way) / part.total(ways[0] + ways[1]))
+            return part.total(over_way) / part.total(ways[0] + ways[1])
 
     logged = observations.of_parts(mean)
     return np.where(observations.from_log & (logged > 0.0), logged, np.abs(observations.number("speed_mps")))
@@ -178,7 +179,7 @@ class EncoderBlunder(Effect):
     found_before_search = True
 
     def forms(self, observations: Observations) -> list[Form]:  # noqa: ARG002
-        """Return none: the fault is found before the search."""
+        """See `Effect`."""
         return []
 
 
@@ -248,8 +249,7 @@ def corrected(observations: Observations, fault: Blunder) -> Observations:
 def bad_runs(nominal: Path) -> dict[str, float]:
     """Return the few runs that end off by a share of their length that no others come near, by id, each its share.
 
-    A counter that was reset or stood still, or a reference of another drive: not windows, and nothing that all runs of
-    a route share.
+    A counter that was reset or stood still, or a reference of another drive.
     """
     # a counter that jumps makes its own run long
     off, kind = misfit(nominal, by_kind=True), nominal.s.labels["kind"]

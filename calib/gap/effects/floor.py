@@ -24,11 +24,6 @@ def common_frame(observations: Observations) -> bool:
     return observations.common_frame and (not observations.windowed or bool(np.isfinite(observations.start_pose).all()))
 
 
-def is_back(observations: Observations) -> FloatArray:
-    """Return 1 for observations driven back along the floor, 0 for others, shape (n_obs,)."""
-    return np.where(observations.heading_sign < 0.0, 1.0, 0.0)
-
-
 def far_end_m(observations: Observations) -> FloatArray:
     """Return where on x each observation starts: 0, or for straight runs back the corridor's length, shape (n_obs,).
 
@@ -58,8 +53,8 @@ def lanes(observations: Observations) -> IntArray:
 def map_heading_rad(path: Path) -> FloatArray:
     """Return the heading on the floor at the middle of each step, shape (n_steps,)."""
     observations = path.s
-    start = observations.start_pose[:, 2]
-    return path.steps.mid_rad + np.where(np.isfinite(start), start, np.pi * is_back(observations))[observations.unit]
+    start, assumed = observations.start_pose[:, 2], np.where(observations.heading_sign < 0.0, np.pi, 0.0)
+    return path.steps.mid_rad + np.where(np.isfinite(start), start, assumed)[observations.unit]
 
 
 def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -69,7 +64,7 @@ def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArr
     heading along x; runs back head the other way, in a corridor from its far end (`far_end_m`).
     """
     s, steps = path.s, path.steps
-    assumed = np.stack([far_end_m, np.zeros(len(s)), np.pi * is_back(s)], axis=1)
+    assumed = np.stack([far_end_m, np.zeros(len(s)), np.where(s.heading_sign < 0.0, np.pi, 0.0)], axis=1)
     known = np.isfinite(s.start_pose).all(axis=1, keepdims=True)
     x, y, heading = np.where(known, s.start_pose, assumed)[s.unit].T
     c, sn = np.cos(heading), np.sin(heading)
@@ -217,7 +212,7 @@ class FloorUndulation(Effect):
     shifts = ("radius_scale",)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each lane: the values of a column ``lane`` where there is one, else the kinds of route."""
+        """See `Effect`."""
         lane = observations.number("lane")
         groups: list[tuple[str, BoolArray]] = []
         if varies(lane, 0.0, observations):
@@ -294,7 +289,7 @@ class TravelDirection(Effect):
     shifts = ("radius_scale",)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return two forms, unlike in runs of neither direction; none where all runs go one way."""
+        """See `Effect`."""
         sigma = observations.heading_sign
         if not varies(sigma, 0.0, observations):
             return []
@@ -313,7 +308,7 @@ _Act = Callable[[FloatArray, FloatArray], Perturbation]
 
 
 def _to_the_right(heading_rad: FloatArray) -> FloatArray:
-    return np.asarray(-np.sin(heading_rad))
+    return -np.sin(heading_rad)
 
 
 class FloorSlope(Effect):
@@ -332,7 +327,7 @@ class FloorSlope(Effect):
     shifts = ("radius_scale",)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms by slope and pull; none where it is driven one way only, or headings share no zero."""
+        """See `Effect`."""
         if not common_frame(observations):
             return []
         heading = predict(observations).of_parts(map_heading_rad)

@@ -13,7 +13,13 @@ from calib.campaign.settings import OdometryModel
 from calib.documents import plain
 from calib.errors import COVARIATES, BadInputError, refuse_beyond
 from calib.gap.effects import encoder, floor, load, path, radii, reference, steering, turning
-from calib.gap.effects.columns import Covariate, column_of, covariate_columns, declared_effects, entry_point_effects
+from calib.gap.effects.columns import (
+    COVARIATE_PREFIX,
+    Covariate,
+    covariate_columns,
+    declared_effects,
+    entry_point_effects,
+)
 from calib.gap.effects.effect import Centre, Effect, Family, Form
 from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected
 from calib.gap.effects.radii import Wear
@@ -103,8 +109,9 @@ def title_of(name: str) -> str:
         return REGISTRY[name].title
     if name.startswith(SIMULATOR_PREFIX):
         return simulator_title(name.removeprefix(SIMULATOR_PREFIX))
-    column = column_of(name)
-    return name.replace("_", " ") if column is None else Covariate(column).title
+    if name.startswith(COVARIATE_PREFIX):
+        return Covariate(name.removeprefix(COVARIATE_PREFIX)).title
+    return name.replace("_", " ")
 
 
 def why_not_transferable(name: str) -> str:
@@ -228,10 +235,7 @@ class Entry:
 
 
 def catalogue(nominal: Path, declared: object = (), only: Collection[str] = ()) -> list[Entry]:
-    """Return the effects that runs can be judged by, those of the ids `only` or all.
-
-    In order: the library, columns of the run table, declared effects, installed packages.
-    """
+    """Return the effects that runs can be judged by, those of the ids `only` or all, in the order of `library`."""
     every = every_effect(nominal.s, declared=declared)
     for name in only:
         if name not in every:
@@ -273,10 +277,7 @@ def model_of(path: FilePath | str, campaign: Campaign) -> "tuple[OdometryModel, 
 
 
 def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:
-    """Return the campaign with the reference's sensor where a geometry in a coefficient file found it.
-
-    Without one the campaign's own statement holds.
-    """
+    """Return the campaign with the reference's sensor where a geometry in a coefficient file found it."""
     from calib.coefficients.file import load_coefficients
 
     return replace(campaign, reference=load_coefficients(path).sensor(campaign.reference))
@@ -335,8 +336,7 @@ def applied_perturbations(
 ) -> tuple[list[Perturbation], list[str]]:
     """Return what written-down effects do, times their sizes, and notes on what could not be applied.
 
-    Effects are looked up by id, form and settings, parameters by name. A covariate's deviation is from the mean in the
-    file. They act about `path`, by default the path that they give.
+    A covariate's deviation is from the mean in the file. They act about `path`, by default the path that they give.
     """
     everywhere = replace(observations, applied=True)
     effects = every_effect(everywhere, declared=declared)

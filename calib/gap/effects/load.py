@@ -37,10 +37,7 @@ def _model_slopes(observations: Observations) -> FloatArray:
 
 
 def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
-    """Return the slopes of the left and right radius against load, shape (2,).
-
-    The model's, else the hypothesis' `own` (2,). Without either a payload does nothing.
-    """
+    # the model's, else the hypothesis' own; without either a payload does nothing
     slopes = _model_slopes(path.s)
     if slopes.any() or path.perturbation.law_slopes is None:
         return slopes
@@ -59,7 +56,7 @@ def _shown_by(path: Path, others: BoolArray) -> FloatArray:
     return np.array([slope(*each) for each in zip(path.rolling_radii_m.T, path.s.wheel_loads_N, strict=True)])
 
 
-def payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
+def _payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
     """Return what the reported payload adds to the left and right wheel, each shape (n_obs,) (Eqs 1 and 2)."""
     payload = np.nan_to_num(observations.number("payload_kg"))
     x, y = observations.number("payload_x_m"), observations.number("payload_y_m")
@@ -101,7 +98,7 @@ class LoadRadius(_OfLoad):
     carries_law_slope = True
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the linear law, one slope a wheel; none where the loads do not vary."""
+        """See `Effect`."""
         left, right = observations.loads_N
         if not loads_vary(observations):
             return []
@@ -125,7 +122,7 @@ class LoadRadiusNonlinear(_OfLoad):
     is_load_law = True
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return one form an exponent, one slope a wheel; none where the loads do not vary."""
+        """See `Effect`."""
         loads, reference = observations.loads_N, observations.model.reference_load_N
         if not loads_vary(observations):
             return []
@@ -231,11 +228,11 @@ class PayloadMass(_OfPayload):
     separates = "a third payload, weighed"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each of the (at most six) payloads driven most, and one for all; none without payloads."""
+        """See `Effect`."""
         payload = np.nan_to_num(observations.number("payload_kg"))
         values, counts = np.unique(np.round(payload[payload > 5e-4], 3), return_counts=True)
         values = np.sort(values[np.argsort(-counts, kind="stable")[:MAX_PAYLOADS]])
-        added_left, added_right = payload_load_N(observations)
+        added_left, added_right = _payload_load_N(observations)
         has_slopes = bool(_model_slopes(observations).any())
         together = len(values) > 1 and has_slopes
 
@@ -276,7 +273,7 @@ class PayloadPosition(_OfPayload):
     separates = "unladen runs beside laden ones"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form sideways and one lengthways; none without payloads."""
+        """See `Effect`."""
         weight_N = GRAVITY_MPS2 * np.nan_to_num(observations.number("payload_kg"))
         if not (weight_N > 0.0).any():
             return []

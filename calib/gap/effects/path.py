@@ -12,6 +12,7 @@ from calib.gap.effects.steering import rate_per_s
 from calib.gap.observations.arrays import POSE, STRAIGHT_RAD, Channel, Observations
 from calib.gap.predict import Path, predict
 from calib.gap.steps import Perturbation
+from calib.radius.path_length import whole_period_excess
 from calib.types import BoolArray, FloatArray
 
 #: a stop lies in a curve where a way of one track turns by more, in radians
@@ -33,12 +34,12 @@ class PathWeave(Effect):
     separates = "the log within a run"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms by the noted amplitude and wavelength and one by the logs of outside simulations."""
+        """See `Effect`."""
         amplitude, wavelength = observations.number("amplitude_m"), observations.number("wavelength_m")
         noted = np.zeros(len(observations))
         weaves = ~observations.from_log & (amplitude > 0.0) & (wavelength > 0.0)
         if weaves.any():
-            noted[weaves] = sine_excess(amplitude[weaves], wavelength[weaves])
+            noted[weaves] = whole_period_excess(amplitude[weaves], wavelength[weaves])
         outside = observations.from_log & np.isfinite(observations.simulated[:, :2]).any(axis=1)
         logged = np.where(outside, _weave_of_logs(observations), 0.0) if outside.any() else np.zeros(len(observations))
         # nobody measured the heading, and every run ends at one place of its wave, but not that where it began
@@ -70,19 +71,6 @@ class PathWeave(Effect):
         return [form(*each) for each in offered]
 
 
-def sine_excess(amplitude_m: FloatArray, wavelength_m: FloatArray) -> FloatArray:
-    """Return by which share a sine is longer than its line over whole periods, same shape as the arguments.
-
-    (2 / pi) sqrt(1 + u) E(u / (1 + u)) - 1 with u = (2 pi A / lambda)^2 and E the complete elliptic integral of the
-    second kind; (pi A / lambda)^2 for small amplitudes.
-    """
-    from scipy.special import ellipe
-
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u = (2.0 * np.pi * amplitude_m / wavelength_m) ** 2
-    return np.asarray(2.0 / np.pi * np.sqrt(1.0 + u) * ellipe(u / (1.0 + u)) - 1.0, dtype=np.float64)
-
-
 def _weave_of_logs(observations: Observations) -> FloatArray:
     path = predict(observations)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -105,7 +93,7 @@ class IntegrationScheme(Effect):
     separates = "none: it is computed from the logs"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the end-point and the Euler form; none without an outside simulator's poses on turning runs."""
+        """See `Effect`."""
         posed = np.isfinite(observations.simulated[:, POSE]).all(axis=1) & observations.usable[:, Channel.ALONG]
         outside = observations.from_log & posed
         if not outside.any():
@@ -147,7 +135,7 @@ class BrakingSkid(Effect):
     zero_known = True
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form with equal slides and, where speeds differ, one ~ v^2; none where no run stops."""
+        """See `Effect`."""
         bends = observations.of_parts(lambda part: np.abs(quantities.curvature_per_m(part)[stops(part)]))
         if not len(bends):
             return []

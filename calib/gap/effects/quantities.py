@@ -31,11 +31,6 @@ def mean_radius_m(observations: Observations) -> float:
     return 0.5 * (observations.model.radius_left_m + observations.model.radius_right_m)
 
 
-def wheel_size(observations: Observations) -> float:
-    """Return how far things can be off on a wheel, 1 or less: in proportion to its radius."""
-    return min(1.0, mean_radius_m(observations) / PAPER_RADIUS_M)
-
-
 def loads_vary(observations: Observations) -> bool:
     """Return whether the load of either wheel is known and differs between observations."""
     return any(varies(load, same_load_N(observations), observations) for load in observations.wheel_loads_N)
@@ -107,7 +102,7 @@ def driven_speed_mps(observations: Observations) -> FloatArray:
     def mean(part: Observations) -> FloatArray:
         way = np.abs(part.path_m)
         with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(part.total(way * np.abs(part.speed_mps)) / part.total(way))
+            return part.total(way * np.abs(part.speed_mps)) / part.total(way)
 
     logged = observations.of_parts(mean)
     logged = np.where(logged > 0.0, logged, np.nan)
@@ -168,6 +163,7 @@ def end_motion(observations: Observations, *, at_start: bool = False) -> tuple[F
 
 
 def _motion_at(observations: Observations, age: FloatArray, edge: IntArray) -> tuple[FloatArray, FloatArray]:
+    # age: time from the edge to each step, s
     with np.errstate(invalid="ignore"):
         late, early = age < END_STRETCH_S, (age >= END_STRETCH_S) & (age < 2 * END_STRETCH_S)
     late[edge] = True

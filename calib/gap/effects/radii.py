@@ -113,7 +113,7 @@ class TemperatureRadius(Proportional):
     varies_by = 0.5
 
     def quantity(self, observations: Observations) -> FloatArray:
-        """Return the temperature in degrees Celsius."""
+        """See `Proportional`."""
         return observations.number("temperature_C")
 
 
@@ -130,7 +130,7 @@ class Wear(Effect):
     shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form per km and, with two sessions and more, one per session."""
+        """See `Effect`."""
         measures: list[tuple[str, FloatArray, float]] = []
         km = observations.number("travelled_km")
         if varies(km, 1e-3, observations):
@@ -167,7 +167,7 @@ class SessionStep(Effect):
     shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return left and right steps a session but the first, and of three or more one that lasts; none with one."""
+        """See `Effect`."""
         steps = session_steps(observations)
         n = len(steps)
         lasting = [
@@ -196,7 +196,7 @@ class SteeringZeroStep(Effect):
     not_transferable = "what steps from session to session says nothing of the next one; find the steering zero in each"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form, a step a session but the first; none with one session or without a front wheel."""
+        """See `Effect`."""
         steps = session_steps(observations) if has_front(observations).any() else []
         if not steps:
             return []
@@ -218,11 +218,11 @@ class SpeedRadius(Proportional):
     parameter = Parameter("per_mps", "s/m", typical=3e-4, largest=3e-4)
 
     def same_within(self, values: FloatArray) -> float:
-        """Return the share of the mean speed within which speeds are one."""
+        """See `Proportional`."""
         return same_speed_mps(values)
 
     def quantity(self, observations: Observations) -> FloatArray:
-        """Return the driven speed in m/s."""
+        """See `Proportional`."""
         return driven_speed_mps(observations)
 
 
@@ -230,7 +230,7 @@ class AnySpeed(SpeedRadius):
     """Radii by any law of the speed: what `SpeedRadius` may be where its line is too narrow; no cause of the search."""
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the line, and a step of both radii from each speed driven to the others; none at one speed."""
+        """See `Effect`."""
         line, speed = super().forms(observations), self.quantity(observations)
         order = np.argsort(speed)
         beyond = np.diff(speed[order]) > self.same_within(speed)

@@ -82,7 +82,7 @@ class GyroScale(Effect):
     separates = "a closed loop, or a turn of known angle"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where no gyro measured a turn."""
+        """See `Effect`."""
         measured = observations.by_gyro & observations.usable[:, Channel.HEADING]
         if not measured.any() or not (np.abs(predict(observations).end[measured, 2]) > LEAST_TURN_RAD).any():
             return []
@@ -109,7 +109,7 @@ class ReferenceLeverArm(Effect):
     separates = "turns on the spot"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none without end positions or where no run ends turned against its start."""
+        """See `Effect`."""
         heading = predict(observations).frame
         if not (observations.usable[:, 1] & (np.abs(np.exp(1j * heading) - 1.0) > 0.02)).any():
             return []
@@ -155,7 +155,7 @@ class ReferenceYaw(Effect):
     OF_POSITION: ClassVar[str] = "position alone"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form of the position alone and one of position and heading; none without end poses."""
+        """See `Effect`."""
         if not observations.usable[:, 2].any():
             return []
         parameter = Parameter("yaw", "rad", typical=5e-3, largest=5e-2)
@@ -230,7 +230,7 @@ class ReferenceLatency(Effect):
     OF_CLOCK: ClassVar[str] = "a clock at another rate"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms by instrument (end pose, laser, both); none where every run stands still when it is read."""
+        """See `Effect`."""
         speed, rate = end_motion(observations)
         nothing = np.zeros(len(observations))
         first_speed, first_rate = (

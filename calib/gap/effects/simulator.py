@@ -60,8 +60,8 @@ class Carried:
 class SimulatorParameter(Effect):
     """A parameter of the simulator is off: the change of the readings is what the simulator showed for a step of it.
 
-    `parameter`: named as the simulator calls it; sizes are its deviation from the nominal value, in its unit;
-    `carried`: what it does on the runs driven; `family`: that of the library's effect that it stands for.
+    `parameter`: sizes are its deviation from the nominal value; `carried`: what it does on the runs driven; `family`:
+    that of the library's effect that it stands for.
     """
 
     # an instance's own, unlike the class attributes of the other effects
@@ -78,7 +78,7 @@ class SimulatorParameter(Effect):
         self.title = simulator_title(parameter.name)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where it moves nothing, or on runs that the simulator was not asked for."""
+        """See `Effect`."""
         carried = self.carried
         moves = any(part.any() for part in (carried.left, carried.right, carried.track, carried.reading))
         if not moves or tuple(observations.labels["run_id"]) != carried.run_ids:
@@ -110,8 +110,7 @@ class _Basis:
 class WheelMotion:
     """What wheels that are off do to the ends of runs: the motion in what a simulator's parameters change.
 
-    `nominal`: about which they are off; `noise`: (n_obs, 4), of a change of (distance, x, y, heading); zero where the
-    simulator repeats itself.
+    `noise`: (n_obs, 4), of a change of (distance, x, y, heading); zero where the simulator repeats itself.
     """
 
     def __init__(self, nominal: Path, noise: FloatArray) -> None:
@@ -249,7 +248,7 @@ class HeldCalibration(Effect):
             setattr(self, name, getattr(effect, name))
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the forms of the effect itself."""
+        """See `Effect`."""
         forms = self.effect.forms(observations)
         signed = [[replace(one, sign=self.sign or one.sign) for one in form.parameters] for form in forms]
         return [replace(form, parameters=tuple(some)) for form, some in zip(forms, signed, strict=True)]

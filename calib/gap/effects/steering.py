@@ -92,11 +92,11 @@ class SteeringZero(Effect):
     separates = "forward and back"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none without a front wheel in the log."""
+        """See `Effect`."""
         if not has_front(observations).any():
             return []
         parameter = Parameter("zero", "rad", typical=8e-3, largest=3.5e-2)
-        error = angle_error(observations, np.ones(len(observations.unit)), straight_ahead_rad(observations))
+        error = angle_error(observations, np.ones(len(observations.unit)), _straight_ahead_rad(observations))
         return [Form(self.id, "", (parameter,), always(error))]
 
 
@@ -107,7 +107,7 @@ def steering_blunder(observations: Observations) -> str:
         return ""
     rolled, turned_rad = observations.total(front_travel_m(observations)), observations.measured[:, Channel.HEADING]
     still = still_steering(steer_rad(observations), rolled[headed], turned_rad[headed], observations.run[headed])
-    found_rad = straight_ahead_rad(observations)
+    found_rad = _straight_ahead_rad(observations)
     if still or abs(found_rad) <= FARTHEST_STRAIGHT_RAD:
         return still
     return (
@@ -116,8 +116,7 @@ def steering_blunder(observations: Observations) -> str:
     )
 
 
-def straight_ahead_rad(observations: Observations) -> float:
-    """Return the angle read straight ahead where it is large and drives the odometry; 0 where not."""
+def _straight_ahead_rad(observations: Observations) -> float:
     headed = observations.usable[:, Channel.HEADING] & has_front(observations)
     if not observations.by_front:
         return 0.0
@@ -148,7 +147,7 @@ class SteeringScale(Effect):
     wrong_beyond = 0.3
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for the angle and one for the wheelbase; none where the front wheel is never turned."""
+        """See `Effect`."""
         angle = steer_rad(observations)
         if not has_front(observations).any() or not (np.abs(angle) > 0.02).any():
             return []
@@ -184,7 +183,7 @@ class SteeringBacklash(Effect):
     separates = "one angle approached from the left and from the right"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms that follow the moves through plays of several widths, and one by the side of the turn."""
+        """See `Effect`."""
         angle = steer_rad(observations)
         if not has_front(observations).any() or not (np.abs(angle) > TURN_ANGLE_RAD).any():
             return []
@@ -219,13 +218,11 @@ def _noise_rad(observations: Observations, angle: FloatArray) -> float:
 
 
 def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
-    """Return the steering angle that the rear wheels' turn tells, shape (n_steps,); NaN where the vehicle hardly moves.
-
-    By a line through the headings to either side, less the median on the straight.
-    """
+    # as the rear wheels' turn tells, by a line through the headings to either side, less the median on the straight;
+    # NaN where the vehicle hardly moves
     steered = np.concatenate([_bend_rad(part) for part in observations.parts()])
     straight = (np.abs(angle) < TURN_ANGLE_RAD) & np.isfinite(steered)
-    return np.asarray(steered - (np.median(steered[straight]) if straight.any() else 0.0))
+    return steered - (np.median(steered[straight]) if straight.any() else 0.0)
 
 
 def _bend_rad(observations: Observations) -> FloatArray:
@@ -244,15 +241,13 @@ def _bend_rad(observations: Observations) -> FloatArray:
         # else the sums of the runs before would round what is left of a difference
         restarted[observations.starts[1:-1]] -= observations.total(values)[:-1]
         running = np.cumsum(restarted)
-        return np.asarray(running[last] - running[first] + values[first])
+        return running[last] - running[first] + values[first]
 
     count = last - first + 1.0
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = summed(path**2) - summed(path) ** 2 / count
         slope = (summed(path * turn) - summed(path) * summed(turn) / count) / variance
-    return np.asarray(
-        np.arctan(observations.vehicle.wheelbase_m * np.where(long_enough & np.isfinite(slope), slope, np.nan))
-    )
+    return np.arctan(observations.vehicle.wheelbase_m * np.where(long_enough & np.isfinite(slope), slope, np.nan))
 
 
 def _side_by_side(observations: Observations) -> tuple[IntArray, IntArray]:
@@ -262,10 +257,7 @@ def _side_by_side(observations: Observations) -> tuple[IntArray, IntArray]:
 
 
 def _lost_in_play(observations: Observations, angle: FloatArray, play: float, least: float) -> FloatArray:
-    """Return angle less what comes through the play, which starts in its middle, shape (n_steps,).
-
-    A recursion by steps, over all units at once. A play below `least` is taken up by the last move above the noise.
-    """
+    # the play starts in its middle; below `least` it is taken up by the last move above the noise
     wide = max(play, least)
     index, step = _side_by_side(observations)
     through = angle[index]
@@ -274,7 +266,7 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
         # a NaN moves nothing
         now = np.fmin(np.fmax(now, row - 0.5 * wide), row + 0.5 * wide)
         row[:] = now
-    return np.asarray(np.nan_to_num((angle - through[step, observations.unit]) * (play / wide)))
+    return np.nan_to_num((angle - through[step, observations.unit]) * (play / wide))
 
 
 #: delays tried beside a short one, which moves along the tangent: on a corner's ramps of half a second the shape of
@@ -297,7 +289,7 @@ class SteeringDelay(Effect):
     separates = "runs that end in a turn"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each delay and each lag; none where the steering does not move or the log has no times."""
+        """See `Effect`."""
         angle = steer_rad(observations)
         rate = rate_per_s(observations, angle, 1)
         if not has_front(observations).any() or not (np.abs(rate) > 1e-3).any():
@@ -318,19 +310,16 @@ class SteeringDelay(Effect):
 
 
 def _moves_within(observations: Observations, values: FloatArray, rate: FloatArray, delay_s: float) -> FloatArray:
-    """Return by how much a step quantity moves within a delay, shape (n_steps,).
-
-    Past a run's end at its last rate; before its start it stood still.
-    """
+    # past a run's end at its last rate; before its start it stood still
     middle = observations.time_s - 0.5 * observations.duration_s
     if not np.isfinite(middle).all():
-        return np.asarray(rate * delay_s)
+        return rate * delay_s
     first, end = (at[observations.unit] for at in (observations.starts[:-1], observations.starts[1:] - 1))
     # runs one after the other, further apart than any delay
     apart = observations.unit * (np.ptp(middle) + 1.0)
     at = np.clip(middle + delay_s, middle[first], middle[end])
     inside = np.interp(at + apart, middle + apart, values)
-    return np.asarray(inside - values + rate[end] * np.maximum(middle + delay_s - middle[end], 0.0))
+    return inside - values + rate[end] * np.maximum(middle + delay_s - middle[end], 0.0)
 
 
 def _lag_behind(observations: Observations, values: FloatArray, lag_s: float) -> FloatArray:
@@ -343,7 +332,7 @@ def _lag_behind(observations: Observations, values: FloatArray, lag_s: float) ->
     for row in range(1, len(index)):
         before = values[index[row - 1]]
         behind[row] = behind[row - 1] + share[row] * (before - behind[row - 1]) + moved[row - 1]
-    return np.asarray(values - behind[step, observations.unit])
+    return values - behind[step, observations.unit]
 
 
 def rate_per_s(observations: Observations, values: FloatArray, reach: int) -> FloatArray:

@@ -47,7 +47,7 @@ class CurveLoadTransfer(Effect):
     separates = "the same turn at two speeds and two loads"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where nothing turns or no speed is known."""
+        """See `Effect`."""
         if not quantities.shows_curves(observations) or not observations.speed_mps.any():
             return []
 
@@ -74,7 +74,7 @@ class LoadDependentTrack(Effect):
     shifts = ("track_width",)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where the loads do not vary or nothing turns."""
+        """See `Effect`."""
         axle = observations.wheel_loads_N.sum(axis=0)
         if not varies(axle, 2.0 * quantities.same_load_N(observations), observations) or not quantities.shows_curves(
             observations
@@ -104,7 +104,7 @@ class SideSlip(Effect):
     separates = "turns at two speeds, the lateral position measured"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return two forms, of an angle and of a speed; none without turns, a known speed or measured positions."""
+        """See `Effect`."""
         if (
             not quantities.shows_curves(observations)
             or not observations.speed_mps.any()
@@ -200,7 +200,7 @@ class WheelSlip(Effect):
 
 def _slip(observations: Observations, least_mps2: float, power: float) -> FloatArray:
     rate = np.maximum(rate_per_s(observations, np.abs(observations.speed_mps), 2), least_mps2)
-    return np.asarray(np.sign(rate) * np.abs(rate) ** power)
+    return np.sign(rate) * np.abs(rate) ** power
 
 
 def _most_lost_m(observations: Observations, parameter: Parameter, least_mps2: float, power: float) -> float:
@@ -228,7 +228,7 @@ class DriveSlip(Effect):
     separates = "several accelerations"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms by the force that slips; none without a front wheel in the log."""
+        """See `Effect`."""
         if not has_front(observations).any():
             return []
         # in the sense of rolling
@@ -298,7 +298,7 @@ class Understeer(Effect):
     separates = "the same steering angle at two speeds"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none without a front wheel in the log, or where nothing turns at a known speed."""
+        """See `Effect`."""
 
         def square(part: Observations) -> FloatArray:
             return np.where(has_front(part)[part.unit], part.speed_mps**2, 0.0)

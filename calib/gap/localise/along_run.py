@@ -166,15 +166,8 @@ def scan_route(
 ) -> tuple[PlaceResult, int] | None:
     """Search a route for the stretch where a channel's gap grows, and count those searched.
 
-    The p value is the best stretch's alone; None for too few whole runs.
-
-    Parameters
-    ----------
-    kind, traces, rng
-    channel
-        Along or heading.
-    signed
-        Look for a gap of the other sign on the way back.
+    The p value is the best stretch's alone; None for too few whole runs. `signed`: look for a gap of the other sign on
+    the way back; see `traces_of`.
     """
     from scipy.special import stdtr
 

@@ -85,21 +85,9 @@ def covariate_test(
 ) -> CovariateResult | None:
     """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
 
-    Parameters
-    ----------
-    name
-    values : shape (n_units,)
-    scaled : shape (n_units, n_channels)
-        Gap over noise level; NaN where a unit lacks the channel.
-    weights : shape (n_draws, n_units)
-        How often the bootstrap draws each unit.
-    most_dof
-        How well the noise level is known.
-
-    Returns
-    -------
-    CovariateResult or None
-        The channel of the smallest p, times the number of channels; not yet held to the table's error.
+    Returned is the channel of the smallest p, times the number of channels; not yet held to the table's error.
+    `scaled` (n_units, n_channels): gap over noise level, NaN where a unit lacks the channel; `weights` (n_draws,
+    n_units): how often the bootstrap draws each; `most_dof`: of the noise level; see `covariate_values`.
     """
     found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
     if not found:
@@ -184,7 +172,7 @@ class _Dependence:
 def _share(explained: FloatArray, df: int, left: FloatArray, dof: FloatArray, beyond: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         residual = np.maximum(left / np.maximum(dof, 1.0), 1.0)
-        return np.asarray(np.clip(np.where(beyond > 0, (explained - df * residual) / beyond, 0.0), 0.0, 1.0))
+        return np.clip(np.where(beyond > 0, (explained - df * residual) / beyond, 0.0), 0.0, 1.0)
 
 
 def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> list[CovariateResult]:

@@ -119,22 +119,12 @@ def locate(
 ) -> GapLocation:
     """Say where the gap lies, and what its causes leave.
 
-    Every covariate is tested in every channel by an F test of the gap over its noise level; a covariate's smallest p is
-    multiplied by the channels looked at, and Holm's steps hold the table to one chance in twenty of any false finding.
-    Shares have bootstrap intervals over units.
+    Every covariate is tested in every channel, see `covariate_test`; Holm's steps hold the table to one chance in
+    twenty of any false finding. Shares have bootstrap intervals over units.
 
-    Parameters
-    ----------
-    nominal, noise
-    gap : shape (n_units, n_channels)
-        Measured minus simulated; 0 where a unit lacks the channel.
-    floor : shape (n_units, n_channels)
-        What the gap is shown against; by default that of `noise`.
-    rng
-    campaign
-        The same runs with their logs: without it, no places inside runs.
-    left : shape (n_units, n_channels)
-        The gap with its causes fitted.
+    `gap`, `left` (n_units, n_channels): measured minus simulated, 0 where a unit lacks the channel; the same with its
+    causes fitted; `floor`: what the gap is shown against, by default that of `noise`; `campaign`: the same runs with
+    their logs, without which there are no places inside runs.
     """
     observations, lines = nominal.s, _tested(nominal, noise, gap, rng)
     places: tuple[PlaceResult, ...] = ()
@@ -199,10 +189,8 @@ def _times(observations: Observations, unit: int) -> dict[str, float]:
 
 
 def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
-    """Return the table, smallest p first, held by Holm's steps to its chance of any false line.
-
-    Importing statsmodels takes longer than all this.
-    """
+    """Return the table, smallest p first, held by Holm's steps to its chance of any false line."""
+    # importing statsmodels takes longer
     # rounding must not order covariates that vary alike
     ordered = sorted(lines, key=lambda line: (float(f"{line.p_value:.9g}"), -float(f"{line.share:.9g}")))
     stepped = [line.p_value * (len(ordered) - number) for number, line in enumerate(ordered)]
@@ -213,11 +201,8 @@ def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
 def _find_places(
     campaign: Campaign, observations: Observations, rng: np.random.Generator
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
-    """Say where inside the runs the gap opens, smallest p first, and what cannot be asked of these runs.
-
-    Beside each run's offset and slope: on a stretch over which it grows in all runs of a route, in turns or straights,
-    at stops. p values are multiplied by the number of places.
-    """
+    # beside each run's offset and slope: on a stretch over which the gap grows in all runs of a route, in turns or
+    # straights, at stops; p values are multiplied by the number of places
     traces = traces_of(campaign.included(), observations)
     if not traces:
         note = "no log has a continuous reference or range_m: where inside a run the gap opens cannot be determined"

@@ -54,11 +54,9 @@ def diagnose_simulator(
 ) -> SimulatorDiagnosis:
     """Diagnose the gap between what was measured and the user's simulator.
 
-    It runs at its nominal parameters (twice unless it repeats itself), with each a step off, and with the fix; the
-    verdict is among parameters and library.
-
-    For parameters see `calib.api.results.diagnose`; `exclude` takes ``simulator:NAME`` too. Raises CalibError where the
-    simulator fails, hangs, writes nonsense, or predicts nothing measured.
+    The verdict is among its parameters and the library. For parameters see `calib.api.results.diagnose`; `exclude`
+    takes ``simulator:NAME`` too. Raises CalibError where the simulator fails, hangs, writes nonsense, or predicts
+    nothing measured.
     """
     if campaign.root is None or not (campaign.root / "campaign.toml").is_file():
         raise BadInputError(
@@ -197,10 +195,7 @@ def _candidates(
     exclude: Sequence[str],
     campaign: Campaign,
 ) -> tuple[list[Effect], tuple[str, ...]]:
-    """Return parameters and effects of the library beside them, with notes.
-
-    Effects that parameters replace or, of the calibration, reproduce are left to these: a parameter can be set.
-    """
+    # what parameters replace or, of the calibration, reproduce is left to these: a parameter can be set
     nominal = predict(observations)
     own = [effect for effect in differences.effects(settings, nominal) if effect.id not in exclude]
     idle = [effect.parameter.name for effect in own if not effect.forms(observations)]
@@ -269,4 +264,4 @@ def _spanned(
 
 def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:
     whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / path.s.sigma[:, :, None]
-    return np.asarray(whole[path.s.usable[:, :4]])
+    return whole[path.s.usable[:, :4]]

@@ -257,13 +257,13 @@ def difference(later: FloatArray, earlier: FloatArray) -> FloatArray:
     """Return the difference of tables (n_runs, 4), 0 if not predicted."""
     apart = later - earlier
     apart[:, _HEADING] = (apart[:, _HEADING] + np.pi) % (2 * np.pi) - np.pi
-    return np.asarray(np.nan_to_num(apart))
+    return np.nan_to_num(apart)
 
 
 def averaged(tables: list[FloatArray]) -> FloatArray:
     """Return the mean of tables (n_runs, 4)."""
     first = tables[0]
-    return np.asarray(first + sum((difference(table, first) for table in tables), np.zeros_like(first)) / len(tables))
+    return first + sum((difference(table, first) for table in tables), np.zeros_like(first)) / len(tables)
 
 
 def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
@@ -354,6 +354,7 @@ def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> floa
 
 
 def _distance_axis(tables: list[FloatArray]) -> float | None:
+    # straight runs alone do not tell
     distance, x, y, _ = np.concatenate(tables).T
     known = np.isfinite(distance + x + y)
     if not known.any():

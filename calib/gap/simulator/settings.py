@@ -6,7 +6,6 @@ import io
 import json
 import math
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -14,14 +13,14 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, PrivateAttr, ValidationError
 
-from calib.campaign.log_reading import cache_folder
+from calib.campaign.log_reading import cache_folder, keep
 from calib.campaign.settings_file import load_toml
 from calib.coefficients.sections import first_fault
-from calib.errors import BadFileError, CalibError
+from calib.errors import BadFileError
 from calib.gap.effects.effect import Family, Parameter
 from calib.gap.effects.library import REGISTRY
 from calib.gap.effects.simulator import SIMULATOR_PREFIX
-from calib.io import sha256_file, write_bytes
+from calib.io import sha256_file
 from calib.types import FloatArray
 
 #: paths that the command has to name
@@ -198,8 +197,8 @@ _BLUNDERS: Final = {
 def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
     """Return in words what a simulator writes wrongly; empty where its ends are about the counts'.
 
-    `table`, `own`: ends (n_runs, 4) at nominal parameters, and by the campaign's model and counts; `most`: share
-    of way and turn by which these may differ on average: vehicles differ by less.
+    `table`, `own`: ends (n_runs, 4) at nominal parameters, and by the campaign's model and counts; `most`: share of way
+    and turn by which these may differ on average.
     """
     length = np.maximum(np.hypot(own[:, 1], own[:, 2]), np.maximum(np.nan_to_num(own[:, 0]), 0.5))
 
@@ -249,9 +248,7 @@ class RunCache:
         if path is None:
             return
         document = {"format": FORMAT, "runs": list(run_ids), "values": values.tolist()}
-        with suppress(CalibError, OSError):
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            write_bytes(path, json.dumps(document).encode(), force=True)
+        keep(path, json.dumps(document).encode())
 
 
 def run_cache(settings: SimulatorSettings, campaign_hashes: Mapping[str, str]) -> RunCache:

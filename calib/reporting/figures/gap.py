@@ -134,7 +134,7 @@ def gap_by_covariate(
 ) -> Figure:
     """Draw one channel's gap against each covariate, with up to eight class means and their 95 % intervals.
 
-    `residual` (n,), `covariates`, `noise_level`: see `GapArrays`; `group` (n,): kind of each run, for colours.
+    `group` (n,): kind of each run, for colours; see `GapArrays`.
     """
     shown = [(name, covariates[name]) for name in distinct(covariates)][:MAX_PANELS]
     factor, name = readable(unit, _largest(residual))

@@ -179,7 +179,7 @@ def render(figure: Figure, form: str) -> bytes:
 def render_all(figure: Figure, forms: Sequence[str]) -> dict[str, bytes]:
     """Return a figure in several formats, laid out once: the layout takes as long as a drawing.
 
-    ``svg`` is as `render` gives it, the others differ from that by less than a pixel.
+    ``svg`` is as `render` gives it, others differ by less than a pixel.
     """
     layout = figure.get_layout_engine()
     drawn: dict[str, bytes] = {}

@@ -10,11 +10,12 @@ import pytest
 from calib.gap.effects.encoder import find_blunder
 from calib.gap.effects.floor import CELL_M, MAX_STRIPS
 from calib.gap.effects.library import library
-from calib.gap.effects.path import sine_excess, stops
+from calib.gap.effects.path import stops
 from calib.gap.effects.quantities import driven_speed_mps, end_motion
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals, signature
+from calib.radius.path_length import whole_period_excess
 from calib.vehicle import Vehicle
 from tests.gap.effects.making import (
     MODEL,
@@ -156,7 +157,7 @@ def test_lanes_by_column_come_before_kinds() -> None:
 )
 def test_the_surplus_of_a_sine_is_that_of_fig_9(amplitude_m: float, wavelength_m: float, percent: float) -> None:
     # half an observation in the last printed digit
-    excess = sine_excess(np.array([amplitude_m]), np.array([wavelength_m]))
+    excess = whole_period_excess(np.array([amplitude_m]), np.array([wavelength_m]))
     assert 100 * float(excess[0]) == pytest.approx(percent, abs=5e-7)
 
 
