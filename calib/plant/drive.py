@@ -63,7 +63,7 @@ def drive(
     """Drive all runs of a world, its path follower on the vehicle's odometry.
 
     Without `quantise` counts keep their fractions, as derivatives need. The first `logged` runs have frames, by default
-    all; ends of the others: see `Record.end`.
+    all.
     """
     design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))
@@ -95,8 +95,7 @@ def drive(
 
 
 class _PastAngles:
-    """Past steering angles, by parabolas: straight lines would cut every bend."""
-
+    # by parabolas: straight lines would cut every bend
     def __init__(self, delay_s: FloatArray, step_s: float) -> None:
         back = delay_s / step_s
         self.whole = np.floor(back).astype(np.int64)
@@ -179,7 +178,6 @@ class _Runs:
         return np.asarray(rolling)
 
     def accelerate(self, number: int) -> tuple[BoolArray, BoolArray]:
-        """Return who has arrived at the next stop and who is held there."""
         remaining = self.target_m - self.progress_m
         held = self.pause_s > 0.0
         self.pause_s -= self.step_s
@@ -196,7 +194,6 @@ class _Runs:
         return arrived, held
 
     def roll(self, rolling: FloatArray, number: int) -> tuple[FloatArray, FloatArray]:
-        """Return turns of the rear wheels (2, n_runs) and the front."""
         world, now, step_s = self.world, self.now, self.step_s
         now.curvature_per_m = np.tan(rolling) / self.wheelbase_m
         way = self.speed * step_s
