@@ -95,11 +95,11 @@ def drive(
 
 
 class _PastAngles:
-    # by parabolas: straight lines would cut every bend
     def __init__(self, delay_s: FloatArray, step_s: float) -> None:
         back = delay_s / step_s
         self.whole = np.floor(back).astype(np.int64)
         share = back - self.whole
+        # a parabola: straight lines would cut every bend
         self.weights = np.stack([0.5 * (1 - share) * (2 - share), share * (2 - share), -0.5 * share * (1 - share)])
         self.angles = np.zeros((int(self.whole.max(initial=0)) + 3, len(back)))  # before its start a run stands
         self.number = 0
