@@ -71,7 +71,7 @@ def tabulate(
 ) -> RouteTables:
     """Tabulate the routes of all runs; equal routes share a table.
 
-    `weaves`: amplitude and wavelength of each run's weave in m.
+    `weaves`: amplitude and wavelength of each run's weave in m; see `Design`.
     """
     start: dict[tuple[str, tuple[float, float]], tuple[int, int, float]] = {}
     parts: list[FloatArray] = []
