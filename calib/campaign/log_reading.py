@@ -82,7 +82,7 @@ def trim_cache(folder: Path, most_bytes: int = MOST_BYTES) -> None:
 
 
 def cache_folder(name: str) -> Path | None:
-    """Return the user's cache folder, or that of the environment variable; None where it says ``off``."""
+    """Return the cache folder, by `CACHE` or the user's; None where that says ``off``."""
     if chosen := os.environ.get(CACHE, ""):
         return None if chosen == "off" else Path(chosen)
     base = Path(os.environ.get("XDG_CACHE_HOME", ""))

@@ -38,8 +38,8 @@ LATE_START_S: Final = 1.0
 def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list[LogFile]":
     """Return the logs that there are, in the order of the runs.
 
-    Runs without a named one have ``logs/<run_id>.csv`` or of another format; `shown`: the run table's name in messages;
-    `border`: takes what is missing or named twice as faults. Raises BadFileError where a path leads out of the folder.
+    Runs without a named one have ``logs/<run_id>.csv`` or of another format; what is missing or named twice is a fault.
+    Raises BadFileError where a path leads out of the folder.
     """
     plain, suffixes = _plain_logs(folder), READERS if (folder / "logs").exists() else ()
     files: list[LogFile] = []
@@ -95,8 +95,8 @@ LogFile = tuple[int, str, Path, str]
 def read_log(path: Path, shown: str, border: Border, raw: RawTable | None = None) -> dict[str, FloatArray]:
     """Read one log: columns of `LOG_COLUMNS` in SI units, times from the run's start, shape (n_samples,) each.
 
-    `shown`: its name in messages; `raw`: the columns that `in_log` picks, where they were read already. Raises
-    BadFileError where a required column is missing or holds a gap, or a cell is no number.
+    `raw`: the columns that `in_log` picks, where they were read already. Raises BadFileError where a required column is
+    missing or holds a gap, or a cell is no number.
     """
     raw = read_table(path, shown, in_log) if raw is None else raw
     border.notes.extend(raw.notes)
@@ -239,8 +239,8 @@ def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray |
 def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray, IntArray]:
     """Undo overflows: every step is the shortest around the counter.
 
-    `counts` (shape (n_samples,)): logs end to end; `offsets` (shape (n_runs + 1,)): where each log begins. Returns
-    `counts`, each log from its own first value, and the overflows undone in each log.
+    `counts` (n_samples,): logs end to end; `offsets` (n_runs + 1,): where each begins. Returns `counts`, each log from
+    its own first value, and the overflows undone in each.
     """
     full = 2.0**bits
     step = _steps(counts, offsets)

@@ -107,7 +107,6 @@ class _Sections:
         self.unknown: dict[str, dict[str, object]] = {}
 
     def keys(self, section: str) -> dict[str, object]:
-        """Return a section's known keys: numbers in SI units, words as they are."""
         self.read.add(section)
         table = self.document.get(section, {})
         if not isinstance(table, dict):
@@ -140,7 +139,6 @@ class _Sections:
         return values
 
     def checked(self, section: str, values: Mapping[str, Any] | None = None) -> Any:
-        """Return a section of these values, by default the file's; raises BadFileError where one is out of bounds."""
         try:
             return _adapter(section).validate_python(self.keys(section) if values is None else values)
         except ValidationError as error:

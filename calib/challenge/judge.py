@@ -99,7 +99,7 @@ class Judged:
 
 
 def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
-    """Hold a verdict in the shape of ``calib diagnose --json`` (None: there is none) against the truth.
+    """Hold the JSON of a verdict (None: there is none) against the truth.
 
     Right is: nothing, for an empty case; the effect first, for one; both, for two; ``unknown`` or ``partly_explained``,
     for an effect outside the library; truth and alias in a group, for an exact alias; one of ``unknown``,

@@ -65,7 +65,7 @@ TURNED_STD: Final = 6.0
 
 
 def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: World) -> FloatArray:
-    """Return true angles (n_steps_most, n_units) that the world's sensor would read as logged."""
+    """Return true angles (n_steps_most, n_units) that the world's sensor reads as logged."""
     true = (read - world.steer_zero_rad) / world.steer_scale
     if world.steer_backlash_rad.any():
         true = true + 0.5 * world.steer_backlash_rad * _side(true, last)

@@ -41,7 +41,7 @@ class Answer:
 
 
 def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
-    """Hold a verdict in the shape of ``calib diagnose --json`` against the effect planted, if any."""
+    """Hold a verdict's JSON against the effect planted, if any."""
     word = str(verdict["verdict"])
     causes = list(verdict.get("causes", ()))
     named = [str(cause["effect"]) for cause in causes]
@@ -131,7 +131,7 @@ class Own:
 
     @property
     def trusted(self) -> bool:
-        """Whether neither false alarms nor wrong names are surely more than `ALLOWED`."""
+        """Whether neither is surely more than `ALLOWED`."""
         counts = (self.raised, len(self.empty)), (self.wrong, self.planted)
         return all(clopper_pearson(*count)[0] <= ALLOWED for count in counts)
 

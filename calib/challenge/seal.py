@@ -139,7 +139,7 @@ def _crowd(number: int, rng: np.random.Generator) -> tuple[tuple[str, ...], tupl
 
 
 def recipes(seeds: Seeds, limit: int | None = None) -> list[Recipe]:
-    """Return the (first `limit`) cases of a seeds file, shuffled: a case's name says nothing."""
+    """Return the first `limit` cases of a seeds file, shuffled: names say nothing."""
     listed: list[Recipe] = []
     for number, group in enumerate(GROUPS):
         listed += _of_group(group, seeds.cases.get(group, 0), np.random.default_rng([seeds.seed, number]))

@@ -191,8 +191,7 @@ def with_default(arguments: Sequence[str]) -> list[str]:
 def build(arguments: Sequence[str] | None = None) -> typer.Typer:
     """Return the application.
 
-    With a command's name in `arguments` only that command is imported; with none, names and summaries alone. Without
-    arguments every command is there in full.
+    With a command's name in `arguments` only that command is imported; without arguments every one.
     """
     application = typer.Typer(
         name="calib",

@@ -148,7 +148,7 @@ _FLAG = re.compile(r"\bforce=True\b")
 
 
 def as_typed(message: str, options: Collection[str]) -> str:
-    """Return a message of the library (``draws: found 0; ...``) whose argument names are options as typed."""
+    """Return a message of the library (``draws: found 0; ...``) with the option as typed."""
     named = _LEADING.match(message)
     if named and f"--{named[1].replace('_', '-')}" in options:
         message = f"--{named[1].replace('_', '-')}{message[named.end() :]}"
@@ -157,7 +157,7 @@ def as_typed(message: str, options: Collection[str]) -> str:
 
 @contextmanager
 def overflow_noted() -> Iterator[None]:
-    """Print one note on numeric overflow, in place of the warnings of a library about its code."""
+    """Print one note on numeric overflow in place of a library's warnings."""
     overflows: list[str] = []
     with warnings.catch_warnings():
         before = warnings.showwarning

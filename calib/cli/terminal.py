@@ -101,7 +101,7 @@ def emit_json(value: Any) -> None:
 
 
 def emit_text(text: str) -> None:
-    """Write a file's text to standard output: nothing in it steers the terminal, and no encoding lacks a character."""
+    """Write a file's text to standard output; nothing in it steers the terminal."""
     text = "\n".join(map(visible, text.split("\n")))
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     try:
@@ -134,7 +134,7 @@ def show(blocks: "Iterable[Block | Section]") -> None:
 
 
 def answer(document: Any, blocks: "Iterable[Block | Section]") -> None:
-    """Write a result as JSON where that was asked for, and print it for people unless standard output is the JSON's."""
+    """Write a result as JSON where that was asked for; print it unless standard output is the JSON's."""
     emit_json(document)
     if not wants_stdout():
         show(blocks)
@@ -148,9 +148,9 @@ def say(text: str) -> None:
 
 
 def then(step: str, *, aside: bool = False, **names: str | Path | Iterable[str | Path]) -> None:
-    """Print what to do now (see `next_step`) as one line, never wrapped, so that its command can be copied.
+    """Print what to do now (see `next_step`) as one line, so that its command can be copied.
 
-    `aside`: on standard error, also where no JSON takes standard output.
+    `aside`: always on standard error.
     """
     from calib.reporting.blocks import next_step
 
@@ -164,7 +164,7 @@ def note(text: str) -> None:
 
 
 def wrote(paths: Iterable[Path | str], *, what: str = "") -> None:
-    """Say which files were written, or `what` they are where they are many, and keep that for an interruption."""
+    """Say which files were written, or `what` many are, and keep that for an interruption."""
     stream = sys.stderr if wants_stdout() else sys.stdout
     for text in [what] if what else [str(path) for path in paths]:
         _write(stream, f"wrote {text}")
@@ -179,7 +179,7 @@ def save(path: Path | None, content: Any) -> None:
 
 
 def figure_files(folder: Path | None, names: Iterable[str]) -> list[Path]:
-    """Return the files that figures are written to, to be refused before the work; none without a folder."""
+    """Return the files that figures are written to; none without a folder."""
     if folder is None:
         return []
     from calib.reporting.figures.style import figure_paths
@@ -261,7 +261,7 @@ def waiting(what: str) -> Iterator[None]:
 
 
 def visible(text: str) -> str:
-    """Return a text in which controls, overrides of direction and half pairs are shown, and steer no terminal."""
+    """Return a text whose controls, overrides of direction and half pairs are shown."""
     return _STEERING.sub(
         lambda found: found.group().encode("ascii", "backslashreplace").decode("ascii"), text
     ).translate(_CONTROLS)
@@ -299,12 +299,12 @@ Numbers = list[float] | None
 
 
 def opt(metavar: str | None, text: str, *names: str, **limits: Any) -> Any:
-    """Return an option: its value in the help (None: a switch, or called by its type), the help, names, and limits."""
+    """Return an option; `metavar`: None for a switch, or what is called by its type."""
     return typer.Option(*names, metavar=metavar, help=text, **limits)
 
 
 def arg(metavar: str | None, text: str) -> Any:
-    """Return an argument: how it is called in the help, and the help."""
+    """Return an argument."""
     return typer.Argument(metavar=metavar, help=text)
 
 

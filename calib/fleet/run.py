@@ -59,7 +59,7 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
 
 
 def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:
-    """Return the campaign of a file of journeys; a dataset's tables take the fleet's `settings`, without logs."""
+    """Return the campaign of a file of journeys; a dataset's tables have no logs."""
     if part.whole:
         return read_campaign(part.settings, lenient=lenient)
     known = {} if settings is None else settings
@@ -186,7 +186,7 @@ def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> F
 
 
 def drifts_of(fitted: Sequence[VehicleRecord]) -> list[tuple[VehicleRecord, str, Drift]]:
-    """Return the wheels' drifts, the scatter of each wheel's sessions known beside that of all."""
+    """Return the wheels' drifts, the scatter of sessions as `moderated`."""
     lines = [(record, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
     lines = [line for line in lines if line[2] is not None and line[2].std_m > 0]
     variance, dof = (np.array([getattr(line[2], name) for line in lines]) for name in ("variance_m2", "dof"))

@@ -254,7 +254,7 @@ class Keys:
         self._settings: dict[Path, str] = {}
 
     def of(self, source: Part | Member) -> str:
-        """Return the key of a file with its settings and logs, or of all files of a vehicle."""
+        """Return the key of a file with settings and logs, or of a vehicle's files."""
         if isinstance(source, Member):
             return "|".join(f"{part.name}:{self.of(part)}" for part in source.parts)
         if source.why:

@@ -233,7 +233,6 @@ class _Blocks:
         return (1.0 + product) / (1.0 - product)
 
     def expected(self, rho: float) -> tuple[float, float, float]:
-        """Return the residuals' expected lag-one product, square, and squared covariance."""
         product = square = squared = 0.0
         for n, count in zip(*np.unique(self.sizes, return_counts=True), strict=True):
             powers = rho ** np.arange(n)
@@ -311,7 +310,7 @@ ROUNDING: Final = 1e-12
 
 
 def line_from_sums(sums: WheelSums) -> LineEstimate | None:
-    """Return the line of `stratified_line` without HC3; a plain one with one session, or one run in each."""
+    """Return the line of `stratified_line` without HC3; a plain one where sessions tell nothing."""
     sizes, x, y, xx, xy, yy = sums.table[:, :6].T
     n, n_sessions = float(sizes.sum()), len(sizes)
     if n < 3:

@@ -39,7 +39,7 @@ class AxleLaw:
 
 
 def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
-    """Return the law of a campaign, a result folder or a coefficient file; `track_m` replaces the vehicle's track."""
+    """Return the law of a campaign, result folder or coefficient file; `track_m` replaces the track."""
     from calib.coefficients.build import coefficients_of
     from calib.coefficients.file import effects_left_out
 

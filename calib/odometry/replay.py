@@ -205,7 +205,7 @@ def _with_end_poses(campaign: Campaign) -> Campaign:
 
 
 def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str, ...]]:
-    """Return the campaign with loads where no run has any: unladen, or the law's centre if that is beyond it."""
+    """Return the campaign with loads where no run has any: unladen, else the law's centre."""
     runs, columns = campaign.runs, WHEEL_LOADS
     if any(np.isfinite(runs.number(name)).any() for name in columns):
         return campaign, ()

@@ -59,10 +59,7 @@ STUDIES: Final[Mapping[str, Study]] = {
 
 
 def ratios(which: str, ratio: float) -> tuple[float, float]:
-    """Return left and right radius over the believed one, where E_r = r_R / r_L is `ratio`.
-
-    ``both`` shares it about the mean; ``equal`` scales both wheels by it.
-    """
+    """Return left and right radius over the believed one, where E_r = r_R / r_L (``equal``: E) is `ratio`."""
     if not (math.isfinite(ratio) and ratio > 0.0):
         raise BadInputError(f"ratio of radii: found {ratio!r}; expected a number above 0, near 1")
     radii = {

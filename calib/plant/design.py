@@ -71,7 +71,7 @@ def tabulate(
 ) -> RouteTables:
     """Tabulate the routes of all runs; equal routes share a table.
 
-    `weaves`: amplitude and wavelength of each run's weave in m.
+    `weaves`: amplitude and wavelength of each run's weave in m; see `Design`.
     """
     start: dict[tuple[str, tuple[float, float]], tuple[int, int, float]] = {}
     parts: list[FloatArray] = []
@@ -294,8 +294,7 @@ def _surroundings(rng: np.random.Generator, need: set[str], n_runs: int) -> dict
 def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **settings: Any) -> Design:
     """Return a design that cannot answer everything; for `settings` see `good_design`.
 
-    ``load_a_session`` (the paper's: a corridor out and back, a load a session), ``corridor_only`` (varied loads and
-    speeds, no turn), ``squares_one_load`` or ``few_repeats``.
+    One of `DESIGNS`; ``load_a_session`` is the paper's, a corridor out and back.
     """
     if name not in DESIGNS:
         raise BadInputError(f"design {name!r} found; expected one of {', '.join(DESIGNS)}; name one of these")

@@ -63,7 +63,7 @@ def drive(
     """Drive all runs of a world, its path follower on the vehicle's odometry.
 
     Without `quantise` counts keep their fractions, as derivatives need. The first `logged` runs have frames, by default
-    all; ends of the others: see `Record.end`.
+    all; see `Record.end`.
     """
     design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))
@@ -99,6 +99,7 @@ class _PastAngles:
         back = delay_s / step_s
         self.whole = np.floor(back).astype(np.int64)
         share = back - self.whole
+        # a parabola: straight lines would cut every bend
         self.weights = np.stack([0.5 * (1 - share) * (2 - share), share * (2 - share), -0.5 * share * (1 - share)])
         self.angles = np.zeros((int(self.whole.max(initial=0)) + 3, len(back)))  # before its start a run stands
         self.number = 0
@@ -177,7 +178,6 @@ class _Runs:
         return np.asarray(rolling)
 
     def accelerate(self, number: int) -> tuple[BoolArray, BoolArray]:
-        """Return who has arrived at the next stop and who is held there."""
         remaining = self.target_m - self.progress_m
         held = self.pause_s > 0.0
         self.pause_s -= self.step_s
@@ -194,7 +194,6 @@ class _Runs:
         return arrived, held
 
     def roll(self, rolling: FloatArray, number: int) -> tuple[FloatArray, FloatArray]:
-        """Return turns of the rear wheels (2, n_runs) and the front."""
         world, now, step_s = self.world, self.now, self.step_s
         now.curvature_per_m = np.tan(rolling) / self.wheelbase_m
         way = self.speed * step_s

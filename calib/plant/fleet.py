@@ -94,7 +94,7 @@ class PlannedFleet:
         return {"hall": dict(zip(self.names, hall.tolist(), strict=True))}
 
     def months(self, rng: np.random.Generator, row: int) -> list[Table]:
-        """Drive the journeys of vehicle number `row`: a run table a month; vehicles are driven in their order."""
+        """Drive the journeys of vehicle number `row`, a run table a month."""
         tables: list[Table] = []
         for month, share in enumerate(np.array_split(np.arange(self.size.n_runs), self.size.n_months)):
             n = len(share)
@@ -189,7 +189,7 @@ class PosedTruth:
 def make_posed_fleet(
     folder: Path, rng: np.random.Generator, n_vehicles: int, n_runs: int, n_outliers: int, n_common: int
 ) -> PosedTruth:
-    """Write a fleet of one type, a campaign folder a vehicle; `n_outliers`, `n_common`: see `PosedTruth`."""
+    """Write a fleet of one type, a campaign folder a vehicle; see `PosedTruth`."""
     refuse_more("runs of all vehicles", n_vehicles * n_runs, FLEET_RUNS, "simulate a smaller fleet")
     design = good_design(rng, n_runs=n_runs, needs={"corridor", "directions", "turns"})
     model = random_model(design, rng)

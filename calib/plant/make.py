@@ -104,7 +104,7 @@ def _columns(
 
 
 def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_runs: int) -> Campaign:
-    """Return the campaign as read from its folder, see `make_campaign`; after `n_runs` names and lines begin again."""
+    """Return the campaign; after `n_runs` names and lines begin again; see `make_campaign`."""
     design = world.design
     counts = _with_blunder(world, record.counts)
     poses = reference_poses(world, draw, record)

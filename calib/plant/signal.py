@@ -316,10 +316,7 @@ def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Caus
 
 
 def rivals(among: Alternatives) -> list[tuple[str, float]]:
-    """Return the other effects that the design can show, nearest first, each with its distance from the cause.
-
-    The norm of what its best form cannot imitate, beside a recalibration.
-    """
+    """Return the other effects, nearest first, each with the norm of what its best form cannot imitate of the cause."""
     driven = among.driven
     nearest: dict[str, float] = {}
     base = [] if is_calibration(among.cause) else [driven.absorbed]
@@ -333,7 +330,7 @@ def rivals(among: Alternatives) -> list[tuple[str, float]]:
 
 
 def signatures(among: Alternatives) -> dict[str, list[FloatArray]]:
-    """Return what each form of an effect can do: whitened, a recalibration projected out."""
+    """Return what each form of an effect can do, whitened, beside a recalibration."""
     return grouped(
         (effect, np.stack([among.left(number) for number in numbers], axis=1))
         for (effect, _), numbers in among.families().items()

@@ -273,9 +273,9 @@ class RunDeviations:
 def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     """Judge the path of every straight run against a tolerance.
 
-    Runs without log and without measured amplitude and wavelength are ``unknown``, and those of which the 95 % interval
-    alone reaches beyond the tolerance; `tolerance`: largest relative error of a radius. Raises RefusedError where there
-    is no straight run; BadInputError where the tolerance is not between 0 and 1.
+    Runs without log, amplitude and wavelength are ``unknown``, and those of which the 95 % interval alone reaches
+    beyond the tolerance, the largest relative error of a radius. Raises RefusedError where there is no straight run;
+    BadInputError where the tolerance is not between 0 and 1.
     """
     if not 0 < tolerance < 1:
         expected = "a share between 0 and 1; 0.0005 is 0.05 % of the radius"

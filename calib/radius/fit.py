@@ -63,8 +63,7 @@ CONDITIONS: Final = (
 def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", simulated: bool = False) -> Fit:
     """Fit both wheels' laws to effective radii, with their checks.
 
-    `reference_load_N`: load on which the coefficients are centred; `name`, `simulated`: the campaign's. Raises
-    RefusedError with fewer than three runs.
+    `reference_load_N`: load on which the coefficients are centred. Raises RefusedError with fewer than three runs.
     """
     wheels = []
     for side in ("left", "right"):
@@ -180,7 +179,7 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, runs: StrArray, *, 
 
 
 def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatArray, session: StrArray) -> WheelFit:
-    """Return `fit` with two more checks; `std_m`: of each radius by the instruments; shape (n_runs,) all."""
+    """Return `fit` with two more checks; `std_m` (n_runs,): of each radius by the instruments."""
     std, fitted = np.nan_to_num(std_m), fit.fitted(session)
     checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
     if not any(check.level == FAILED and check.name in EXPLAINED_BY for check in checks):
@@ -287,10 +286,8 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
 
 
 def _held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
-    """Return the wheels' fits, failed where runs scatter beyond instruments and paths and the loads do not say why.
-
-    That is where the law leaves most of what the runs differ by, or another reading of the table leaves far less.
-    """
+    # failed where runs scatter beyond instruments and paths, and the law leaves most of what they differ by, or another
+    # reading of the table leaves far less
     found = [[*_scatter(one, getattr(radii, f"std_{one.wheel}_m"), radii.session)] for one in wheels]
     if all(check.level == OK for part in found for check in part) or "constant" in {wheel.model for wheel in wheels}:
         return wheels
@@ -368,10 +365,8 @@ def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[Fl
 
 
 def _squares(loads: FloatArray, radius: FloatArray, days: FloatArray, start: FloatArray) -> tuple[float, IntArray]:
-    """Return the squares left by both laws and the option of each run, shape (n,), from those at `start`.
-
-    `loads`, `radius`: of each option, shape (n_options, n, 2); `days`: indicators, shape (n, n_sessions).
-    """
+    # squares left by both laws and the option of each run (n,), from those at `start`; loads and radii of each option
+    # (n_options, n, 2), indicators of the days (n, n_sessions)
     runs, chosen = np.arange(loads.shape[1]), start.astype(np.int64)
     for _ in range(ROUNDS):
         squares = np.zeros(loads.shape[:2])

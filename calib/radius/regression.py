@@ -148,7 +148,7 @@ class WheelFit:
 
     @property
     def radius_ref_ci95_m(self) -> tuple[float, float]:
-        """95 % interval of the radius at the reference load."""
+        """See `LineEstimate`."""
         return self.estimate.radius_ref_ci95_m
 
     @property
@@ -161,7 +161,7 @@ class WheelFit:
         return self._band(load_N, single_run=False)
 
     def prediction_band_m(self, load_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the band of a further run's radius in a session of its own; see `mean_band_m`."""
+        """Return that of a further run in a session of its own; see `mean_band_m`."""
         return self._band(load_N, single_run=True)
 
     def _band(self, load_N: ArrayLike, *, single_run: bool) -> tuple[FloatArray, FloatArray]:
@@ -270,8 +270,8 @@ def fit_wheel(
 ) -> WheelFit:
     """Fit one wheel's law: a line, or a constant on one load; see `with_checks`.
 
-    `wheel`: its name; `load_N`, `radius_m`, `session`: shape (n_runs,); `reference_load_N`: load on which the
-    coefficients are centred. Raises RefusedError with fewer than three runs.
+    Arrays of shape (n_runs,); `reference_load_N`: load on which the coefficients are centred. Raises RefusedError with
+    fewer than three runs.
     """
     load, radius = floats(load_N), floats(radius_m)
     if len(load) < 3:

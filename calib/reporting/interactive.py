@@ -329,7 +329,7 @@ def gap_along_runs(observations: Observations, campaign: Campaign) -> list[Float
 def panel_columns(
     gap: GapArrays, along: list[FloatArray], paths: Mapping[str, list[FloatArray]], palette: tuple[str, ...]
 ) -> dict[str, object]:
-    """Return the columns of all panels, a row an observation: a selection in one panel is a selection in all."""
+    """Return the columns of all panels, a row an observation."""
     names = natural(gap.labels["kind"])
     columns: dict[str, object] = {label: gap.labels["run_id" if label == "run" else label] for label in LABELS}
     columns["colour"] = [palette[names.index(str(name)) % len(palette)] for name in gap.labels["kind"]]

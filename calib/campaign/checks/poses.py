@@ -336,10 +336,8 @@ def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
 
 
 def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
-    """Compare headings with those of the counts beside unequal wheels, which turn in proportion to the distance.
-
-    Radii that scatter with the load make small headings follow the counts less than once, never more.
-    """
+    # beside unequal wheels, which turn in proportion to the distance; radii that scatter with the load make small
+    # headings follow the counts less than once, never more
     theta, turned = campaign.runs.number("ref_theta_rad"), design.turned_rad(campaign)
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
     if good.sum() < 2 * LEAST_RUNS:

@@ -100,8 +100,7 @@ def ingest(
 ) -> Ingested:
     """Make a campaign folder; ``ingest.json`` records the sources' hashes.
 
-    Parameters and refusals: see `calib.api.results.ingest`; `mapping` is as the text of `calib.campaign.ingest.mapping`
-    shows, and `dry_run` writes nothing.
+    Parameters and refusals: see `calib.api.results.ingest`; `dry_run` writes nothing.
     """
     if not sources:
         raise BadInputError("sources: found none; expected the run table first, then logs; name the files")

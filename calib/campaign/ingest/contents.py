@@ -97,7 +97,7 @@ class ColumnContents:
     even: bool = False
 
     def words(self, alike: "Sequence[ColumnContents]") -> str:
-        """Return the column in words; `alike`: the same column of all files of its kind."""
+        """Return the column in words; `alike`: that of all files of its kind."""
         text = f"{self.name}: "
         if self.kind == "number":
             known = [end for c in alike for end in (c.low, c.high) if end is not None]

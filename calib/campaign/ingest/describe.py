@@ -215,7 +215,7 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
 def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
     """Write an empty campaign: ``campaign.toml`` with remarks, ``runs.csv`` with its header, and ``logs``.
 
-    `folder`: its name becomes the campaign's. Raises BadInputError where a campaign exists there and `force` is False.
+    Raises BadInputError where a campaign exists there and `force` is False.
     """
     settings, runs, logs = (folder / name for name in ("campaign.toml", "runs.csv", "logs"))
     refuse_existing([settings, runs], force=force)

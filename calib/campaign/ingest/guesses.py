@@ -120,10 +120,7 @@ def reading_of(name: str) -> tuple[str, str] | None:
 
 
 def guessed_log_column(name: str) -> str | None:
-    """Return the log's column that a name may mean, or None.
-
-    `name`: of a recording's ``stream:column`` or ``group/channel`` the last part counts first.
-    """
+    """Return the log's column that a name may mean, or None; of ``stream:column`` the last part counts first."""
     # a unit in brackets may hold a slash
     parts = re.split(r"[:/.]*[:/](?![^\[(]*[\])])", name)
     last = re.sub(r"^(position|velocity|effort)\.", "", parts[-1])
@@ -200,10 +197,7 @@ BEHAVIOURS: Final = {
 
 
 def behaviour(values: FloatArray, *, whole: bool) -> str:
-    """Return what a column's numbers do, of `BEHAVIOURS`; else empty.
-
-    `values` (shape (n_rows,)): finite; `whole`: all are integers.
-    """
+    """Return what a column's finite numbers (`whole`: integers) do, of `BEHAVIOURS`; else empty."""
     steps, span = np.diff(values), float(np.ptp(values))
     if not span:
         return ""

@@ -54,9 +54,8 @@ class MappedLog:
 def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encoder, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
-    `files`: one file, or a rosbag2 folder, under an empty name; or the files of a run by the names of ``log.files``;
-    `border`: takes notes. Raises BadFileError where a column that the mapping names is missing, or the file has no
-    clock or no wheels.
+    `files`: one file, or a rosbag2 folder, under an empty name; or those of a run by the names of ``log.files``. Raises
+    BadFileError where a column that the mapping names is missing, or the file has no clock or no wheels.
     """
     path = next(iter(files.values()))
     shown = str(path)

@@ -112,7 +112,7 @@ class MappedColumn(_Model):
         return tuple(filter(None, (self.column, self.minus, self.w)))
 
     def unit_for(self, name: str) -> str | None:
-        """Return the source's unit: the line's, or one in the source's name that column `name` may have."""
+        """Return the line's unit, or one in the source's name that column `name` may have."""
         if self.unit is not None:
             return self.unit
         # as `cam.x_mm`; beside it a factor is the conversion
@@ -376,7 +376,7 @@ def fits_name(name: str, wanted: str) -> bool:
 
 
 def run_in(name: str, pattern: str) -> str | None:
-    """Return what a file's name holds where a pattern has ``{n}`` or ``{run_id}``; None where it does not fit."""
+    """Return what a file's name has for ``{n}`` or ``{run_id}``; None where it does not fit."""
     parts = re.split(r"(\{date\}|\{time\}|\*|\{run_id\}|\{n(?::0?\d+)?\})", pattern)
     signs = {**_PARTS, "{run_id}": r"(?P<run>.+)"}
     form = "".join(signs.get(part, r"0*(?P<run>\d+)" if part[:2] == "{n" else re.escape(part)) for part in parts)

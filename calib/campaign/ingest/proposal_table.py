@@ -46,10 +46,7 @@ _MOMENTS: Final = (
 
 
 def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
-    """Return the lines for the run table's columns, and remarks on the others.
-
-    `numbered`: runs without names may be numbered, since no log has to be found by them.
-    """
+    """Return the lines for the run table's columns, and remarks on the others; `numbered`: nameless runs may be."""
     lines = _place_lines(table)
     own: list[str] = []
     unused: list[str] = []
@@ -235,10 +232,7 @@ def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
 
 
 def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileContents]]:
-    """Return the files that a run's log consists of: a name for each -> its pattern and the first such file.
-
-    Empty where a run has one file, or the names do not say which belong together.
-    """
+    """Return the several files that a run's log consists of: a name for each -> its pattern and the first such file."""
     if any(log.recording for log in logs):
         return {}
     groups = list(grouped((re.sub(r"\d+", "#", Path(log.name).name), log) for log in logs).values())

@@ -198,7 +198,7 @@ Part = tuple[str, tuple[str, ...], Sequence[float], Any]
 
 
 def record_ros(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
-    """Read the topics of known message types; only the wanted numbers are kept, eight bytes each."""
+    """Read the topics of known message types; only the wanted numbers are kept."""
     with _opened(path, shown) as reader:
         known = [connection for connection in reader.connections if connection.msgtype in MESSAGE_TYPES]
         if isinstance(wanted, WantedColumns):

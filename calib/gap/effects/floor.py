@@ -60,8 +60,8 @@ def map_heading_rad(path: Path) -> FloatArray:
 def floor_place(path: Path, far_end_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the place on the floor at the middle of each step in m, each shape (n_steps,).
 
-    In a map observations start where they were seen. Else runs out start at the origin
-    heading along x; runs back head the other way, in a corridor from its far end (`far_end_m`).
+    In a map observations start where they were seen; else runs out at the origin along x, runs back the other way, in a
+    corridor from its far end (`far_end_m`).
     """
     s, steps = path.s, path.steps
     assumed = np.stack([far_end_m, np.zeros(len(s)), np.where(s.heading_sign < 0.0, np.pi, 0.0)], axis=1)

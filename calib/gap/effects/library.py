@@ -372,7 +372,7 @@ def _perturbations(chosen: "Sequence[tuple[EffectSection, Form]]", path: Path) -
 
 
 def section_of(form: Form, theta: FloatArray) -> "EffectSection":
-    """Return a fitted form as a coefficient file holds it: id, label, settings, where it is zero, and its sizes."""
+    """Return a fitted form as a coefficient file holds it."""
     from calib.coefficients.sections import EffectSection, Quantity
 
     settings = {name: float(value) for name, value in form.settings.items()}
@@ -386,7 +386,7 @@ def section_of(form: Form, theta: FloatArray) -> "EffectSection":
 
 
 def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, float]) -> Form | None:
-    """Return the form of a label, where several bear it the one with the nearest settings; None where there is none."""
+    """Return the form of a label, of several that with the nearest settings; None where there is none."""
 
     def off(form: Form) -> float:
         return sum(abs(form.settings[key] - settings[key]) for key in form.settings.keys() & settings.keys())

@@ -154,7 +154,7 @@ class LoadCreep(_OfLoad):
     separates = "the same load after 0, 10 and 60 minutes, put on and taken off"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms by time constant and by the load that creeps; none where the times under load do not vary.
+        """Return forms by time constant and by the load that creeps.
 
         That is the whole wheel load, its part above the unladen load, or (where the order of the loads matters) its
         last change: an unloaded band then recovers as slowly.

@@ -136,7 +136,7 @@ def on_the_spot(s: Observations, turn_rad: FloatArray, path_m: FloatArray) -> Fl
 
 
 def turns_on_the_spot_too(observations: Observations) -> bool:
-    """Return whether some observation turns on the spot, and some while it rolls, by more than a tenth of a radian."""
+    """Return whether some observation turns on the spot, and some while it rolls, by a tenth of a radian."""
     turned = np.zeros(2)
     for s in observations.parts():
         spot, turn = on_the_spot(s, s.turn_rad, s.path_m) > 0.0, np.abs(s.turn_rad)

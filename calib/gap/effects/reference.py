@@ -31,7 +31,6 @@ class _OfRangefinder(Effect):
         return [Form(self.id, "", (self.parameter,), perturbations)]
 
     def too_much(self, path: Path) -> FloatArray:
-        """Return what is read too much, per unit of the parameter, shape (n_obs,)."""
         return path.distance_m
 
 
@@ -190,7 +189,7 @@ class ReferenceScale(Effect):
         return self.unaided(observations) if known else []
 
     def unaided(self, observations: Observations) -> list[Form]:
-        """Return the forms where nothing else may measure a length: radii and track imitate the constant one."""
+        """Return the forms where nothing else may measure a length."""
 
         def of(values: FloatArray) -> Callable[[Centre], Perturbations]:
             def scaled(path: Path, centre: Centre) -> list[Perturbation]:

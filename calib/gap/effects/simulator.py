@@ -100,7 +100,6 @@ class _Basis:
 
     @classmethod
     def of(cls, wheels: FloatArray, by_wheels: FloatArray, groups: int, most: float, enough: float) -> "_Basis":
-        """Return a basis for weighted readings by left, right and track, shape (n_obs, 4, 3)."""
         columns = (by_wheels @ wheels).reshape(groups, -1, wheels.shape[2])
         turned = np.swapaxes(columns, 1, 2)
         inverse = np.linalg.solve(np.eye(wheels.shape[2]) + turned @ columns, turned)
@@ -233,8 +232,7 @@ def as_simulated(observations: Observations, noise: FloatArray | float = 0.0) ->
 class HeldCalibration(Effect):
     """An effect of the calibration as one among others, where no recalibration is free beside them.
 
-    `effect`: one of the calibration's own three; `sign`: of its size, where the other sign is left to parameters of
-    the simulator, 0 where either counts.
+    `sign`: of its size, where the other sign is left to parameters of the simulator, 0 where either counts.
     """
 
     # an instance's own, unlike the class attributes of the other effects
@@ -264,8 +262,8 @@ def without_forms(effect: Effect, labels: Sequence[str]) -> Effect:
 def with_zero(effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Mapping[str, float]) -> Effect:
     """Return an effect whose zero point is free where it is counted from a mean and the calibration is held.
 
-    Else radii off on average would pass for a parameter of the simulator. The zero lies about as far from the runs as
-    they are apart: more is a cause of its own.
+    Else radii off on average would pass for a parameter. The zero lies about as far from the runs as they are apart:
+    more is a cause of its own.
 
     `zeros`: what another zero point looks like, and how much of it, in typical sizes, moves the readings by one of
     their standard deviations; `reach`: by how many of these each form of the effect moves them, by label.

@@ -83,7 +83,7 @@ class Trace:
 
 
 def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
-    """Return the gap along runs with a continuous reference or logged range."""
+    """Return the gap along runs with a continuous reference or range."""
     if observations.aside_m is not None:
         # two wheels on an axle cannot follow sideways motion
         return []

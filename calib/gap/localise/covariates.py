@@ -139,7 +139,6 @@ class _Dependence:
         return 1 if self.group is None else int(self.group.max())
 
     def squares(self, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return squares about the mean, explained ones, units for weights (n_draws, n), each (n_draws,)."""
         n = weight.sum(axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             mean = weight @ self.y / n

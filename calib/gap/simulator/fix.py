@@ -71,10 +71,7 @@ def fixed(
     found: SimulatorFix,
     rng: np.random.Generator,
 ) -> Diagnosis:
-    """Return the diagnosis with what to set and the closure that the simulator shows with it.
-
-    `differences`: about the nominal parameters; `found`: see `iterated`; `rng`: for the bootstrap.
-    """
+    """Return the diagnosis with what to set and the closure that the simulator shows with it; see `iterated`."""
     named = named_parameters(diagnosis, runner)
     values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
     nominal = diagnosis.nominal
@@ -139,10 +136,8 @@ def iterated(
 def alone(
     diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences, start: SimulatorFix | None
 ) -> tuple[dict[str, Declared], SimulatorFix | None]:
-    """Return parameters that may do without the other causes, and the fix by them; None where they do not.
-
-    They are the named ones, `start` the fix by them, or those of `_most_able`, fewest first.
-    """
+    """Return parameters that may do without the other causes, and the fix by them; None where they do not."""
+    # the named ones, `start` the fix by them, or those of `_most_able`, fewest first
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
     own = named_parameters(diagnosis, runner)

@@ -267,10 +267,7 @@ def averaged(tables: list[FloatArray]) -> FloatArray:
 
 
 def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
-    """Run a simulator at nominal parameters, and with each a step off.
-
-    Where nominal runs differ by more than `NOISE_SHARE` of the uncertainties `sigma` (4,), as `_averaged`.
-    """
+    """Run a simulator at nominal parameters, and with each a step off; `sigma` (4,): uncertainties."""
     settings = runner.settings
     steps = {each.name: each.step for each in settings.parameters}
     jobs = [Job(settings.nominal, "the nominal parameters"), *(_off(settings, *step) for step in steps.items())]

@@ -88,10 +88,7 @@ def _mark_sessions(axis: Any, sessions: Groups) -> None:
 
 @styled
 def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
-    """Draw radius against load with law, mean band and prediction band (Fig. 11).
-
-    `session` (shape (n_runs,)). Below each wheel's law the same as deviation from it, where the bands can be read.
-    """
+    """Draw radius against load with law, mean band and prediction band (Fig. 11), below as deviation from the law."""
     figure = canvas(10.0)
     axes = axes_grid(figure, 2, 2, sharex="col", sharey="row", height_ratios=(1.15, 1.0))
     sessions = style.named_groups(session, NO_SESSION)

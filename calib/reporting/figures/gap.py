@@ -77,10 +77,7 @@ class GapArrays:
 
 @styled
 def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray) -> Figure:
-    """Draw every run's path, and its gap as an arrow from simulated to measured end, magnified as the title says.
-
-    `group` (n,): kind of each run, for colours.
-    """
+    """Draw every run's path, its gap as an arrow from simulated to measured end; `group` (n,): kind, for colours."""
     ends, points = np.array([path[-1] for path in paths_m]), np.concatenate(list(paths_m))
     known = np.asarray(np.isfinite(np.hstack((offset_m, ends))).all(axis=1))
     points = points[np.isfinite(points).all(axis=1)]
@@ -132,7 +129,7 @@ def gap_by_covariate(
     noise_level: float,
     group: StrArray,
 ) -> Figure:
-    """Draw one channel's gap against each covariate, with up to eight class means and their 95 % intervals.
+    """Draw one channel's gap against each covariate, with class means and their 95 % intervals.
 
     `group` (n,): kind of each run, for colours; see `GapArrays`.
     """
@@ -320,7 +317,7 @@ SHADES: Final = ("#B2482C", "#E39A72", "#F1E3C8", "#8FBBD3", "#2F78A8")
 
 @styled
 def plan_matrix(outlook: Outlook) -> Figure:
-    """Draw the matrix: row, the effect at work at its typical size; column, the effect that might be named instead."""
+    """Draw the matrix: row, the effect at work; column, the effect that might be named instead."""
     n = len(outlook.effects)
     figure = style.canvas(float(np.clip(5.0 + 0.36 * n, 8.0, 21.0)))
     axis = figure.add_subplot()
