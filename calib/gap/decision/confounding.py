@@ -320,8 +320,9 @@ def any_probability(evidence: Evidence, names: Collection[str]) -> float:
     """Return the probability that any of some causes is at work, calibration parameters among them."""
     search, recalibration = evidence.search, evidence.recalibration
     weighed = [(search.models, search.probabilities), (recalibration.subsets, recalibration.probabilities)]
+    # a parameter and what looks like it share one probability
     sums = [sum(p for s, p in zip(*sets, strict=True) if not set(names).isdisjoint(s)) for sets in weighed]
-    return min(1.0, sum(calibrated(float(probability)) for probability in sums))
+    return calibrated(min(1.0, float(sum(sums))))
 
 
 def with_alternatives(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, float]:

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib.gap.decision.confounding import any_probability, calibrated
 from calib.gap.decision.decide import _by_family
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.fix import disagreement, parting
@@ -122,3 +123,14 @@ def test_steps_of_the_sessions_stay_a_form_unless_they_are_as_probable(monkeypat
     assert _by_family(evidence, [group])[0] == [["temperature_radius"]]  # type: ignore[arg-type]
     likely.add("session_step")
     assert _by_family(evidence, [group])[0] == [group]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 1.0])
+def test_a_parameter_and_its_alias_are_as_probable_together_however_they_share_it(share: float) -> None:
+    """A certain track or scrub is certain, where half of the odds say one and half the other."""
+    search = SimpleNamespace(models=[("curve_scrub",), ()], probabilities=[share, 1.0 - share])
+    recalibration = SimpleNamespace(subsets=[("track_width",), ()], probabilities=[1.0 - share, share])
+    evidence = SimpleNamespace(search=search, recalibration=recalibration)
+    together = any_probability(evidence, {"curve_scrub", "track_width"})  # type: ignore[arg-type]
+    assert together == pytest.approx(calibrated(1.0))
+    assert any_probability(evidence, {"curve_scrub"}) == pytest.approx(calibrated(share))  # type: ignore[arg-type]
