@@ -66,7 +66,8 @@ def test_a_further_run_takes_little_more_memory_than_its_log(benchmark: Benchmar
     ratio = further_MB / (5 * 8e-6 * rows)
     benchmark.extra_info["memory of a run over its log"] = ratio
     benchmark.pedantic(lambda: None, rounds=1)
-    assert 1.0 < ratio <= MOST_MEMORY_RATIO, f"a run takes {ratio:.1f} times what its log does: {peaks} MB"
+    # the smaller campaign's peak may be that of the imports: then less than a log is left between the two
+    assert 0.0 < ratio <= MOST_MEMORY_RATIO, f"a run takes {ratio:.1f} times what its log does: {peaks} MB"
 
 
 def test_what_is_spent_is_measured() -> None:
