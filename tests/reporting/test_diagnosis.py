@@ -102,6 +102,14 @@ def test_a_title_and_its_sentence_say_a_thing_once() -> None:
     assert verdict_notice(Diagnosis(VerdictKind.EXPLAINED, "The gap is small.")).text == "The gap is small."
 
 
+@pytest.mark.parametrize(("probability", "title"), [(0.31, "Probably no gap"), (0.5, "The cause of the gap is unknown")])
+def test_the_title_denies_what_is_less_probable_than_not(probability: float, title: str) -> None:
+    """The title is all that many read."""
+    verdict = Diagnosis(VerdictKind.UNKNOWN, "It may be.", gap_probability=probability)
+    assert verdict_notice(verdict).title.startswith(title)
+    assert verdict_notice(replace(verdict, kind=VerdictKind.NO_GAP)).title.startswith("No gap")
+
+
 def test_runs_that_differ_in_the_place_of_the_payload_alone_differ_on_a_terminal() -> None:
     """At 80 columns, where a column of its own has no room."""
     left = PlannedRun("figure8", payload_kg=100.0, payload_x_m=0.3, payload_y_m=0.15, why="w" * 40)
