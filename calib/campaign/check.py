@@ -12,7 +12,7 @@ from typing import Final, get_type_hints
 import numpy as np
 
 from calib.campaign.checks import counts, design, measurements, poses, settings
-from calib.campaign.checks.counts import implausible_paths
+from calib.campaign.checks.counts import implausible_paths, interrupted_counts
 from calib.campaign.checks.design import SIDES, both_sides, implausible_column, implausible_setting, setting_note
 from calib.campaign.checks.measurements import MOST_RATIO, implausible_distances, implausible_loads, off
 from calib.campaign.checks.poses import implausible_poses
@@ -28,7 +28,7 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
     notes, campaign = _taken_apart(campaign.included())
     yield from notes
     of_columns = implausible_distances, implausible_loads, _columns, implausible_poses
-    for check in (_settings, _model, *of_columns, implausible_paths, implausible_senses):
+    for check in (_settings, _model, *of_columns, implausible_paths, interrupted_counts, implausible_senses):
         yield from check(campaign)
 
 

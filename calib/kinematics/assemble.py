@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.checks.counts import interrupted_counts
 from calib.campaign.model import Campaign
 from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.settings import Reference
@@ -76,6 +77,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     faults = (*faults, *factor_faults(ratios, campaign.vehicle.drive, model.recording.speeds))
     if source == "rear":
         faults = (*faults, *still_counters(model.recording, model.motion(values).body[2]))
+    faults = (*faults, *(Fault("counts_lost", note.sentence, seen=True) for note in interrupted_counts(campaign)))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     outliers = _outliers(model, solution)

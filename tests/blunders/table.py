@@ -82,6 +82,7 @@ NAMES: Final = {
     "steering in degrees": {"steering_unit"},
     "steering reversed": {"reversed_steering"},
     "counters reset halfway": {"count_jump"},
+    "a tenth of the counts lost": {"counts_lost"},
     "counts of the motor's shaft": {"count_gear", "radius_factor"},
     "steering of the motor's shaft": {"steering_gear"},
     "radius in inches": {"count_gear", "radius_factor"},

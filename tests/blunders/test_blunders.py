@@ -20,6 +20,7 @@ NAMES = (
     "a robot that strafes",
     "steering in degrees",
     "counters reset halfway",
+    "a tenth of the counts lost",
     "steering of the motor's shaft",
     "steering 0.3 rad off its zero",
     "reference by the vehicle's own odometry",

@@ -8,7 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.checks.counts import clock, count_jumps, dead_counters, implausible_paths, log_speed
+from calib.campaign.checks.counts import (
+    clock,
+    count_jumps,
+    dead_counters,
+    implausible_paths,
+    interrupted_counts,
+    log_speed,
+)
 from calib.campaign.read import read_campaign
 from tests.campaign.making import campaign, with_log_columns, with_numbers
 from tests.kinematics import campaigns as driven
@@ -149,3 +156,47 @@ def test_logs_that_are_all_uneven_are_one_line() -> None:
         time[first + 200 : end] += 3.0
     (found,) = clock(with_log_columns(made, t_s=time))
     assert found.level == "suspicious" and "of 5 of 5 logs come unevenly" in found.text
+
+
+#: what becomes of the counts of two samples in twenty -> whether they are lost
+INTERRUPTED = {
+    "lost": (lambda step, kept: step * kept, True),
+    "held and made up for": (
+        lambda step, kept: np.diff(np.maximum.accumulate(np.cumsum(step) * kept), prepend=0.0),
+        False,
+    ),
+    "sound": (lambda step, kept: step, False),
+}
+
+
+@pytest.mark.parametrize("what", INTERRUPTED)
+def test_counts_that_stand_still_between_samples_at_full_speed_are_lost(what: str) -> None:
+    """A log that holds the last value for two samples has the counts in the third."""
+    made, (change, lost) = campaign(logs=True), INTERRUPTED[what]
+
+    def changed_log(log: Columns) -> Columns:
+        kept = np.arange(len(log["t_s"])) % 20 >= 2
+        sides = ("counts_left", "counts_right")
+        return {side: np.cumsum(change(np.diff(log[side], prepend=log[side][0]), kept)) for side in sides}
+
+    notes = list(interrupted_counts(changed(made, changed_log)))
+    # two of twenty, but for those at the ends
+    share = [float(note.text.partition("for ")[2].partition(" %")[0]) for note in notes]
+    assert [note.level for note in notes] == ["wrong"] * lost and all(9.0 <= percent <= 10.0 for percent in share)
+
+
+@pytest.mark.parametrize(("pause_s", "ramp_s"), [(0.3, 0.5), (2.0, 1.0)])
+def test_a_vehicle_that_stops_and_starts_is_no_loss(pause_s: float, ramp_s: float) -> None:
+    """It slows down before, and where the reference does not move either, it stood."""
+    made = campaign(logs=True)
+
+    def with_stops(log: Columns, ramp_s: float) -> Columns:
+        # a stop every ten seconds: full speed, ramp, pause, ramp
+        phase = np.mod(log["t_s"], 10.0) - 5.0
+        speed = np.clip((np.abs(phase) - pause_s / 2) / ramp_s, 0.0, 1.0)
+        way = np.cumsum(speed)
+        position = {"ref_x_m": way, "ref_y_m": 0.0 * way}
+        return {"counts_left": np.round(100.0 * way), "counts_right": np.round(100.0 * way), **position}
+
+    assert not list(interrupted_counts(changed(made, lambda log: with_stops(log, ramp_s))))
+    assert not list(interrupted_counts(changed(made, lambda log: with_stops(log, 1e-3))))

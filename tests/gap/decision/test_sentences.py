@@ -104,8 +104,8 @@ def test_an_improbable_gap_is_stated_with_its_probability(probability: float | N
     text = sentence(Diagnosis(VerdictKind.EXPLAINED, "", (CAUSE,), closure=closure, gap_probability=probability))
     assert ("The probability of a gap is 0.44 only; if there is one: the gap is" in text) is doubted
     assert ("probability" in text) is doubted
-    unknown = Diagnosis(VerdictKind.UNKNOWN, "", closure=closure, gap_probability=probability)
-    assert ("if there is one no effect" in sentence(unknown)) is ("More repeats decide it." in sentence(unknown)) is doubted
+    unknown = sentence(Diagnosis(VerdictKind.UNKNOWN, "", closure=closure, gap_probability=probability))
+    assert ("if there is one no effect" in unknown) is ("More repeats decide it." in unknown) is doubted
 
 
 @pytest.mark.parametrize("kind", [VerdictKind.AMBIGUOUS, VerdictKind.PARTLY_EXPLAINED])
