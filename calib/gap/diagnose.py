@@ -343,7 +343,7 @@ def _searched(
             break
         noise, base = again, recalibrate(nominal, again, base)
         searched = search(nominal, noise, base, effects, settings, start=searched, passed=passed)
-    assumed = {each.id for each in effects if each.id in searched.effects and each.is_assumed(nominal.s)}
+    assumed = {each.id for each in effects if each.id in searched.effects and each.assumption(nominal.s)}
     if assumed and not _holds(assumed, nominal, noise, searched):
         return _searched(nominal, [each for each in effects if each.id not in assumed], settings, progress)
     return [*effects], noise, base, searched

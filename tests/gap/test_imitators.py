@@ -270,6 +270,18 @@ def test_scrub_on_the_spot_is_no_track_with_a_load_that_moves(diagnosing: Diagno
     assert verdict.recommended
 
 
+def with_counters_of_arcs(truth: Truth, *, kept: bool) -> Campaign:
+    """Corridors, squares and arcs six times; counters that keep their place between runs, or begin at 0 in each."""
+    arc = [(2.0, 0.0), (6.0, 0.5)]
+    routes = [(STRAIGHT, "corridor"), (SQUARE, "square_ccw"), (turned(SQUARE), "square_cw")]
+    routes += [(arc, "arc_left"), (turned(arc), "arc_right")]
+    runs = [Run(pieces, kind=kind, front=False) for pieces, kind in routes * 6]
+    made = replace(campaign(runs, truth=truth, vehicle=DIFFERENTIAL), reference=Reference(frame="start"))
+    before = np.repeat(1e4 * np.arange(len(runs)) * kept, np.diff(made.logs.offsets))
+    columns = {name: made.logs.columns[name] + before for name in ("counts_left", "counts_right")}
+    return replace(made, logs=replace(made.logs, columns=made.logs.columns | columns))
+
+
 @pytest.mark.parametrize("kept", [False, True])
 def test_a_constant_of_a_route_is_no_eccentric_wheel_of_assumed_phase(kept: bool, diagnosing: Diagnosing) -> None:
     """Counters that begin at 0 in each run give all ends of a route one phase; those that keep their place do not.
@@ -282,17 +294,24 @@ def test_a_constant_of_a_route_is_no_eccentric_wheel_of_assumed_phase(kept: bool
         truth(run, now)
         now.left = now.right = -2e-3 * (run.kind == "corridor")
 
-    arc = [(2.0, 0.0), (6.0, 0.5)]
-    routes = [(STRAIGHT, "corridor"), (SQUARE, "square_ccw"), (turned(SQUARE), "square_cw")]
-    routes += [(arc, "arc_left"), (turned(arc), "arc_right")]
-    runs = [Run(pieces, kind=kind, front=False) for pieces, kind in routes * 6]
-    made = replace(campaign(runs, truth=bumpy, vehicle=DIFFERENTIAL), reference=Reference(frame="start"))
-    before = np.repeat(1e4 * np.arange(len(runs)) * kept, np.diff(made.logs.offsets))
-    columns = {name: made.logs.columns[name] + before for name in ("counts_left", "counts_right")}
-    made = replace(made, logs=replace(made.logs, columns=made.logs.columns | columns))
-    assert WheelEccentricity().is_assumed(observations_of(made)) is not kept
+    made = with_counters_of_arcs(bumpy, kept=kept)
+    assert bool(WheelEccentricity().assumption(observations_of(made))) is not kept
     verdict = diagnosing(made, plan=False)
     assert "wheel_eccentricity" not in {cause.effect for cause in verdict.causes}
+
+
+def test_an_eccentric_wheel_of_assumed_phase_says_what_it_assumes(diagnosing: Diagnosing) -> None:
+    """The runs of the plant all begin at one angle of the wheels, which these data cannot show."""
+    truth = noisy(lambda *_: None, 1)
+
+    def eccentric(run: Run, now: Motion) -> None:
+        truth(run, now)
+        way_m = np.cumsum(now.ds_m + 0.5 * now.turn_rad * DIFFERENTIAL.track_m)
+        now.right_m = np.diff(1e-3 * np.sin(way_m / DIFFERENTIAL.wheel_radius_m), prepend=0.0)
+
+    verdict = diagnosing(with_counters_of_arcs(eccentric, kept=False), plan=False)
+    assert verdict.causes[0].effect == "wheel_eccentricity"
+    assert any(note.startswith("wheel_eccentricity: all counters begin alike") for note in verdict.notes)
 
 
 def stretched(share: float, seed: int, *, track: float = 0.0) -> Truth:

@@ -1,6 +1,6 @@
 """From evidence to diagnosis: what is named, which verdict that gives, and what the fix is worth."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from math import prod, sqrt
@@ -97,7 +97,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         closure=closure,
         unexplained=None if kind in NO_GAP_SHOWN and not situation.faults else unexplained,
         fix=_of_sound_data(replace(fix, moves=moved(evidence, fix, causes)), situation, causes) if causes else fix,
-        notes=(*evidence.observations.notes, *situation.notes, *_on_small(small if causes else ())),
+        notes=(*evidence.observations.notes, *situation.notes, *_on_causes(evidence, causes, small)),
         noise_level=noise_level,
         probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),
         judged_against=evidence.judged_against,
@@ -322,11 +322,13 @@ def _acts_opposite(evidence: Evidence, form: Form) -> bool:
     return False
 
 
-def _on_small(small: Sequence[str]) -> tuple[str, ...]:
-    text = (
-        f"too small beside the largest cause to be named: {', '.join(small)}; correct that first, then diagnose again"
-    )
-    return (text,) if small else ()
+def _on_causes(evidence: Evidence, causes: Sequence[Cause], small: Sequence[str]) -> Iterator[str]:
+    for effect in (evidence.effects[cause.effect] for cause in causes if cause.effect in evidence.effects):
+        if assumption := effect.assumption(evidence.observations):
+            yield f"{effect.id}: {assumption}"
+    if small and causes:
+        what = f"too small beside the largest cause to be named: {', '.join(small)}"
+        yield f"{what}; correct that first, then diagnose again"
 
 
 def _on_scatter(evidence: Evidence) -> str:

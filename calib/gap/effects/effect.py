@@ -195,9 +195,9 @@ class Effect(ABC):
     def forms(self, observations: Observations) -> list[Form]:
         """Return the effect's forms on this campaign; empty where the campaign cannot show it at all."""
 
-    def is_assumed(self, observations: Observations) -> bool:  # noqa: ARG002
-        """Return whether it rests on what these runs do not tell: then it has to predict routes that are held out."""
-        return False
+    def assumption(self, observations: Observations) -> str:  # noqa: ARG002
+        """Return what it rests on that these runs do not tell: then it has to predict routes that are held out."""
+        return ""
 
     def offer(self, offers: Sequence[Offer], *, by_parts: bool = False) -> list[Form]:
         """Return a form for each of several labels, its parameters and perturbations; the search over them counts."""

@@ -61,15 +61,20 @@ class WheelEccentricity(Effect):
 
         return [form("left wheel", ["left"]), form("right wheel", ["right"]), form("both wheels", ["left", "right"])]
 
-    def is_assumed(self, observations: Observations) -> bool:
-        """Return whether all counters begin alike in every run, which wheels do not.
+    def assumption(self, observations: Observations) -> str:
+        """Say where all counters begin alike in every run, which wheels do not.
 
         All ends of a route then have one phase, and the effect is a constant of each route, as any cause may have.
         """
         s, first = observations, observations.starts[:-1][observations.from_log]
         rolled = ((s.phase_left_rad, s.roll_left_rad), (s.phase_right_rad, s.roll_right_rad))
         begun = np.array([phase[first] - roll[first] for phase, roll in rolled])
-        return not s.windowed and len(first) > 1 and float(np.ptp(begun, axis=1).max()) < SAME_PHASE_RAD
+        if s.windowed or len(first) < 2 or float(np.ptp(begun, axis=1).max()) >= SAME_PHASE_RAD:
+            return ""
+        return (
+            "all counters begin alike, so that each run is taken to begin at the same angle of the wheels; where "
+            "nobody set them so, it stands for another cause that is alike on each route: keep the counters running"
+        )
 
 
 def _eccentric(
