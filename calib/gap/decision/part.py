@@ -126,7 +126,8 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     )
     why = (*rule.unhelpful(improvement), *left, *rule.harm(tried))
     if why:
-        return replace(fix, recommended=False, why=tuple(f"without {beside}: {text}" for text in why))
+        lead = f"without {unnamed}, which is not named" if unnamed else "with no other change of radii and track"
+        return replace(fix, recommended=False, why=tuple(f"{lead}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in found.causes)
     return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
 
