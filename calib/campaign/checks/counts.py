@@ -1,7 +1,7 @@
 """Encoder counts and logs: sign, scale, overflow, swapped wheels, the clock, jumps, speed, paths."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Final
 
 import numpy as np
@@ -288,38 +288,43 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
         yield column_note("speed_mps", text, "speed_disagrees")
 
 
-#: so often in a log, between steps alike to this share and of so many counts, wheels do not stop and start at once
+#: so often in a log, between steps alike to this share and of so many counts, a wheel does not stop and start at once
 _STOPS, _ALIKE_STEPS, _ROLLING = 5, 0.25, 20
 
 
 def interrupted_counts(campaign: Campaign) -> Iterator[Note]:
-    """Yield counts of all wheels that stand still again and again between samples at full speed, never made up for."""
-    stops, lost, n_logs = list[int](), list[float](), 0
+    """Yield counts that stand still again and again between samples at full speed, and are never made up for."""
+    stops = {name: list[tuple[int, float]]() for name in campaign.logs.columns if name.startswith("counts_")}
+    n_logs = 0
     for _, log in campaign.logs.each(20):
-        step = np.array([np.abs(np.diff(log[name])) for name in log if name.startswith("counts_")])
-        if not len(step):
-            continue
         n_logs += 1
-        moved = step.sum(axis=0)
-        edge = np.diff(np.concatenate([[True], moved > 0, [True]]).astype(np.int8))
-        # of samples without a count, the first one and the one after the last; none at an end of the log
-        first, after = np.flatnonzero(edge == -1), np.flatnonzero(edge == 1)
-        inner = (first > 0) & (after < len(moved))
-        first, after = first[inner], after[inner]
-        one, other = step[:, first - 1], step[:, after]
-        alike = (np.abs(one - other) <= _ALIKE_STEPS * one.max(axis=0, initial=0.0)).all(axis=0)
-        fast = np.minimum(one.sum(axis=0), other.sum(axis=0)) >= max(_ROLLING, 0.5 * float(np.median(moved[moved > 0])))
-        x = log.get("ref_x_m", np.full(len(moved) + 1, math.nan))
-        still = np.abs(x[after] - x[first]) + np.abs(log.get("ref_y_m", x)[after] - log.get("ref_y_m", x)[first]) == 0.0
-        kept = alike & fast & ~still
-        if kept.sum() >= _STOPS:
-            stops.append(int(kept.sum()))
-            lost.append(float((after - first)[kept].sum() / ((moved > 0).sum() + (after - first)[kept].sum())))
-    if len(stops) >= max(LEAST_RUNS, MOST_OF_THE_RUNS * n_logs):
-        text = f"""the counts of all wheels stand still {np.median(stops):.0f} times a log, for
-            {100 * np.median(lost):.2g} % of the way, in {len(stops)} of {n_logs} logs, between samples at full speed;
-            expected counts as long as it rolls; steps are lost before they are added up: log the counter's total"""
-        yield implausible_column("counts_left, counts_right", text, of="logs")
+        for name in stops.keys() & log.keys():
+            times, share = _interruptions(np.abs(np.diff(log[name])), log)
+            stops[name] += [(times, share)] if times >= _STOPS else []
+    odd = [name for name in stops if len(stops[name]) >= max(LEAST_RUNS, MOST_OF_THE_RUNS * n_logs)]
+    if odd:
+        times, share = np.median([each for name in odd for each in stops[name]], axis=0)
+        text = f"""the counts stand still {times:.0f} times a log, for {100 * share:.2g} % of the way, in
+            {max(len(stops[name]) for name in odd)} of {n_logs} logs, between samples at full speed; expected counts as
+            long as it rolls; steps are lost before they are added up: check encoder and cable, log the counter's
+            total"""
+        yield implausible_column(", ".join(odd), text, of="logs")
+
+
+def _interruptions(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int, float]:
+    edge = np.diff(np.concatenate([[True], step != 0.0, [True]]).astype(np.int8))
+    # of samples without a count, the first one and the one after the last; none at an end of the log
+    first, after = np.flatnonzero(edge == -1), np.flatnonzero(edge == 1)
+    inner = (first > 0) & (after < len(step))
+    first, after = first[inner], after[inner]
+    least, most = np.sort([step[first - 1], step[after]], axis=0)
+    fast = least >= max(_ROLLING, 0.5 * float(np.median(step[step > 0]))) if len(first) else least > 0.0
+    x = log.get("ref_x_m", np.full(len(step) + 1, math.nan))
+    y = log.get("ref_y_m", x)
+    stood = (x[after] == x[first]) & (y[after] == y[first])
+    kept = (most - least <= _ALIKE_STEPS * most) & fast & ~stood
+    lost = float((after - first)[kept].sum())
+    return int(kept.sum()), lost / (float((step > 0).sum()) + lost) if lost else 0.0
 
 
 #: steps a log is looked at in
