@@ -122,9 +122,9 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     stays = worst > small or found.held_out > WORTH_SHARE * found.before
     if found.apart and stays and worst <= WRONG_SHARE * travelled:
         return DOUBTFUL, (
-            f"{what}: sessions differ by {found.apart:.2g} times what is left within each ({1e3 * found.within:.3g} "
-            f"{unit}), and held-out runs end off by {held_out} ({before} before): radii, steering or reference changed "
-            "in between; calibrate each session by itself, 'calib diagnose' looks for what changed",
+            f"{what}: sessions differ by {few_digits(found.apart, 2)} times what is left within each "
+            f"({1e3 * found.within:.3g} {unit}), and held-out runs end off by {held_out} ({before} before): radii, "
+            "steering or reference changed in between; calibrate each session by itself, 'calib diagnose' looks for what changed",
         )
     if worst <= small:
         return CALIBRATED, ()
@@ -134,7 +134,8 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     where = f"{after} on the runs used, {held_out} on held-out runs, noise {noise}"
     if worst > WRONG_SHARE * travelled:
         return WRONG, (f"{what}: the residual is {100 * worst / travelled:.2g} % of the {of} ({where})",)
-    return DOUBTFUL, (f"{what}: the residual is {worst / max(found.expected, 1e-12):.2g} times the noise ({where})",)
+    times = few_digits(worst / max(found.expected, 1e-12), 2)
+    return DOUBTFUL, (f"{what}: the residual is {times} times the noise ({where})",)
 
 
 @dataclass(frozen=True, slots=True)

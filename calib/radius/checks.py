@@ -9,7 +9,7 @@ from scipy.special import fdtrc, stdtr, stdtrit
 from calib.campaign.checks.design import HIDING, along_load, partial_slope
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
-from calib.types import FloatArray, StrArray
+from calib.types import FloatArray, StrArray, few_digits
 
 #: p-values below which a check gives a note, and the law should not be used; with some nine checks a wheel the usual
 #: 5 % would give a false note in every third campaign
@@ -133,10 +133,10 @@ def _curvature(runs: _Residuals) -> Check | None:
     if sd <= 0.0 or np.isinf(sd):
         return None
     # a parabola over the whole span departs from its chord by a quarter of its coefficient
-    sag = abs(bend) / 4
+    sag = few_digits(abs(bend) / 4, 2)
     sentences = (
-        f"No curvature shows; a bend, if any, is about {sag:.2g} um in the middle of the load range.",
-        f"The radius bends by about {sag:.2g} um in the middle of the load range: a straight law is that far off "
+        f"No curvature shows; a bend, if any, is about {sag} um in the middle of the load range.",
+        f"The radius bends by about {sag} um in the middle of the load range: a straight law is that far off "
         "there; narrow the load range, or use a look-up table of measured loads.",
     )
     return tested("curvature", bend / sd, f"t({dof:.0f})", p_of_t(bend / sd, dof), sentences, fails=True)
@@ -363,7 +363,7 @@ def _against_naive(fit: WheelFit) -> str:
     if naive <= 0 or aware <= 0:
         return ""
     # a twentieth of a width is nothing to act on
-    wide = "as wide as this one" if abs(naive / aware - 1.0) < 0.05 else f"{naive / aware:.2g} times as wide"
+    wide = "as wide as this one" if abs(naive / aware - 1.0) < 0.05 else f"{few_digits(naive / aware, 2)} times as wide"
     return f" Counting every run as independent would give a slope interval {wide}."
 
 

@@ -11,7 +11,7 @@ from calib.campaign.checks.design import LEAST_RUNS, column_note, implausible_co
 from calib.campaign.checks.measurements import off
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
 from calib.campaign.wheels import ASIDE
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, few_digits
 
 #: runs that must agree, and standard errors beyond which they do
 _LEAST_STRAIGHT_RUNS: Final = 8
@@ -62,8 +62,8 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
     longer = _longer(campaign, 0.05)
     for where, n_runs, median, error in _offsets(longer, campaign.runs.label("session"), allowed):
         text = f"""the distance is {1e3 * abs(median):.3g} mm {"longer" if median > 0 else "shorter"} than that of the
-            reference's end pose {where} (median of {n_runs} straight runs, standard error {1e3 * error:.2g} mm);
-            expected the same within {1e3 * allowed:.2g} mm; check zero and scale of the rangefinder, and what each is
+            reference's end pose {where} (median of {n_runs} straight runs, standard error {1e3 * error:.3g} mm);
+            expected the same within {1e3 * allowed:.3g} mm; check zero and scale of the rangefinder, and what each is
             measured from"""
         yield column_note("distance_m", text, "distance_against_pose")
     longer = _longer(campaign, 0.5)
@@ -284,7 +284,8 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
             begin, end = log["t_s"][known[[first[at], after[at]]]]
             what = "stands still while they roll" if stand[at] > leap[at] else "leaps further than they roll"
             text = f"""the position does not follow the wheels {far.sum()} time(s), most from {begin:.4g} to
-                {end:.4g} s: it {what}, by {off_m[at]:.2g} m; lost or hidden? Empty these cells, or exclude the run"""
+                {end:.4g} s: it {what}, by {few_digits(off_m[at])} m; lost or hidden? Empty these cells, or exclude the
+                run"""
             yield design.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
 
 

@@ -20,7 +20,7 @@ from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, und
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.observations.arrays import Channel
-from calib.types import FloatArray
+from calib.types import FloatArray, few_digits
 
 #: causes are ordered by these classes of probability, then by signal: finer differences are chance
 PROBABILITY_CLASSES: Final = (0.3, 0.6, 0.8)
@@ -156,7 +156,8 @@ def _cause(
         quantities[parameter.name] = Quantity(value, interval, parameter.unit, parameter.shift)
         times = max(times, (abs(value) - 2 * sd) / parameter.largest)
     means = _means(form, sized.theta, covariance, coverage)
-    remark = f"{times:.2g} times what is physically plausible: suspect {effect.implausible}" if times > 1.0 else ""
+    beyond = f"{few_digits(times, 2)} times what is physically plausible: suspect {effect.implausible}"
+    remark = beyond if times > 1.0 else ""
     unknown = undetermined(form.parameters, sized.theta, coverage * spread)
     if unknown:
         remark = identifiability_message(form.parameters, sized.theta, covariance, coverage) or remark

@@ -10,6 +10,7 @@ from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN,
 from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
+from calib.types import few_digits
 
 #: closure below which an unexplained residual hides whether anything is explained
 HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE
@@ -131,7 +132,7 @@ def with_left(diagnosis: Diagnosis) -> Diagnosis:
     for line in large or beyond:
         times = line.after_rms / line.floor_rms
         n = 1 if evidence is None else int(evidence.observations.usable[:, line.channel].sum())
-        left.append((n * (times**2 - 1.0), f"{line.channel.label}: {times:.2g} times its noise level"))
+        left.append((n * (times**2 - 1.0), f"{line.channel.label}: {few_digits(times, 2)} times its noise level"))
     failed = filter(fails, diagnosis.fix.transfer)
     left += [(each.after_square - each.noise_square, f"{each.left_out} {each.value}, held out") for each in failed]
     if not left:

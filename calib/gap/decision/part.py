@@ -20,7 +20,7 @@ from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.predict import residuals
-from calib.types import FloatArray
+from calib.types import FloatArray, few_digits
 
 #: relative change of a calibration that is none
 ROUNDING: Final = 1e-12
@@ -186,7 +186,8 @@ def _worse_sessions(evidence: Evidence, left_out: HeldOutFit, before: FloatArray
         if left > max(as_is, most_square(int(observations.usable[units].sum()), evidence.noise.dof)):
             found.append((np.sqrt(left / max(as_is, ROUNDING)), session))
     return [
-        f"alone it makes session {session} worse ({ratio:.2g} times the gap): its size is the mean of unlike ones"
+        f"alone it makes session {session} worse ({few_digits(ratio, 2)} times the gap): its size is the mean of "
+        "unlike ones"
         for ratio, session in sorted(found, reverse=True)
     ]
 
