@@ -124,7 +124,8 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
         return DOUBTFUL, (
             f"{what}: sessions differ by {few_digits(found.apart, 2)} times what is left within each "
             f"({1e3 * found.within:.3g} {unit}), and held-out runs end off by {held_out} ({before} before): radii, "
-            "steering or reference changed in between; calibrate each session by itself, 'calib diagnose' looks for what changed",
+            "steering or reference changed in between; calibrate each session by itself, 'calib diagnose' looks for "
+            "what changed",
         )
     if worst <= small:
         return CALIBRATED, ()
