@@ -69,12 +69,6 @@ class FrontModel:
     understeer_s2_per_m2: float = 0.0
     side_slip_s2_per_m: float = 0.0
 
-    @staticmethod
-    def of(vehicle: Vehicle) -> "FrontModel":
-        """Return the nominal counted wheel and wheelbase of a vehicle."""
-        radius_m = vehicle.wheel_radius_m if vehicle.drive == "ackermann" else vehicle.front_radius_m
-        return FrontModel(radius_m, vehicle.wheelbase_m)
-
 
 @dataclass(frozen=True, slots=True)
 class MecanumModel:
@@ -99,6 +93,13 @@ class OdometryModel:
     slope_right_m_per_N: float = 0.0
     front: FrontModel | None = None
     mecanum: MecanumModel | None = None
+
+    def steered(self, vehicle: Vehicle) -> FrontModel:
+        """Return `front`, by default the nominal one: the shaft of an Ackermann drive counts the rear wheels' mean."""
+        radius_m = 0.5 * (self.radius_left_m + self.radius_right_m)
+        if vehicle.drive != "ackermann":
+            radius_m = vehicle.front_radius_m
+        return self.front or FrontModel(radius_m, vehicle.wheelbase_m)
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,7 +91,7 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     counts = {name: np.full(n, np.nan) for name in WHEEL_COLUMNS["rear"]}
     aside = np.full(n, np.nan)
     if source in STEERED:
-        front = model.front or FrontModel.of(campaign.vehicle)
+        front = model.steered(campaign.vehicle)
         # a count of the wheels that are confounded with it is as fine as one of the wheel that is counted
         per_m = counts_per_rev(encoder, source)[0] / (2 * np.pi * front.radius_m)
         encoder = replace(
@@ -124,7 +124,7 @@ def _motion(campaign: Campaign, model: OdometryModel, source: str, log: Mapping[
         return None
     encoder = campaign.encoder
     if steered:
-        front = model.front or FrontModel.of(campaign.vehicle)
+        front = model.steered(campaign.vehicle)
         counts = log[WHEEL_COLUMNS[source][0]]
         rolled = np.diff(counts, prepend=counts[:1]) * (2 * np.pi / counts_per_rev(encoder, source)[0])
         if source == "shaft":

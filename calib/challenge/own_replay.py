@@ -140,8 +140,9 @@ def route_of(observations: Observations) -> Route:
     duration = wide(observations.duration_s)
     speed = _smoothed(wide(observations.speed_mps), duration, lengths)
     change = np.diff(speed, axis=0, prepend=speed[:1])
-    assumed = FrontModel.of(observations.vehicle) if observations.by_front else FrontModel(0.0, 1.0)
-    front = observations.model.front or assumed
+    front = observations.model.front or FrontModel(0.0, 1.0)
+    if observations.by_front:
+        front = observations.model.steered(observations.vehicle)
     with np.errstate(divide="ignore", invalid="ignore"):
         acceleration = np.where(duration > 0, change / duration, 0.0)
     same = ("roll_left_rad", "roll_right_rad", "time_s", "curvature_per_m")
@@ -282,7 +283,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
 
 def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
     read, way = replay.route.steer_rad[step], replay.route.front_m[step]
-    wheelbase_m = (world.model.front or FrontModel.of(replay.observations.vehicle)).wheelbase_m
+    wheelbase_m = world.model.steered(replay.observations.vehicle).wheelbase_m
     if replay.observations.by_shaft:
         return np.ones_like(true), way * (np.tan(true) - np.tan(read)) / wheelbase_m
     ahead = np.cos(true) / np.cos(read)

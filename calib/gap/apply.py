@@ -6,7 +6,6 @@ from dataclasses import astuple, replace
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.campaign.settings import FrontModel
 from calib.coefficients.build import Header, PoseNoise, from_law, joint_section, load_points
 from calib.coefficients.file import OF_INSTRUMENTS, CoefficientFile, believed_model, effects_left_out
 from calib.coefficients.sections import EffectSection, Quantity
@@ -41,7 +40,10 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     by_fitted = np.zeros((len(JOINT), len(fitted.covariance)))
     by_fitted[4, 2] = model.track_m
     for row, side in ((0, "left"), (2, "right")):
-        by_fitted[row : row + 2, row // 2] = getattr(model, f"radius_{side}_m"), getattr(model, f"slope_{side}_m_per_N")
+        of_law = np.array([getattr(model, f"radius_{side}_m"), getattr(model, f"slope_{side}_m_per_N")])
+        # of one counter the wheels' mean is determined alone
+        wheels, share = (slice(0, 2), 0.5) if observations.by_front else (slice(row // 2, row // 2 + 1), 1.0)
+        by_fitted[row : row + 2, wheels] = share * of_law[:, None]
         if side in slopes:
             by_fitted[row + 1, slopes[side][1]] = 1.0
     covariance = by_fitted @ fitted.covariance @ by_fitted.T
@@ -76,10 +78,10 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     if observations.by_front:
         # one counter and the steering: a radius for both, and what is believed of the angle
         source, name = ("shaft", "rear_radius_m") if observations.by_shaft else ("front", "front_radius_m")
-        radius_m, *lengths = astuple(model.front or FrontModel.of(observations.vehicle))
+        radius_m, *lengths = astuple(model.steered(observations.vehicle))
         steering = ["wheelbase_m", "steering_zero_rad", STEERING_SCALE, "understeer_s2_per_m2", "side_slip_s2_per_m"]
         found = {name: radius_m * (1.0 + float(fitted.calibration[0]))} | dict(zip(steering, lengths, strict=True))
-        spread = radius_m**2 * fitted.covariance[:1, :1]
+        spread = (radius_m / model.radius_left_m) ** 2 * covariance[:1, :1]
         return file.changed(joint_geometry=joint_section(file.vehicle.drive, source, found, [name], spread))
     known = np.flatnonzero(np.diag(covariance))
     names, spread = [JOINT[k] for k in known], covariance[np.ix_(known, known)]
@@ -125,7 +127,8 @@ def on_vehicle(file: CoefficientFile, diagnosis: Diagnosis, campaign: Campaign) 
     # an outside simulator's motion is no odometry's
     if ends[0] and diagnosis.judged_against != BY_SIMULATOR:
         sizes = "{:.3g} m by the model before, {:.3g} m by radii and track of the file alone, {:.3g} m with its effects"
-        idle = "; keep those before, or apply the effects by calib.runtime.Effects" * (ends[1] * SMALLER > ends[0])
+        other = "" if seen.by_front else ", or apply the effects by calib.runtime.Effects"
+        idle = f"; keep those before{other}" if ends[1] * SMALLER > ends[0] else ""
         notes = [f"end error of these runs: {sizes.format(*ends)}{idle}"]
     for cause in diagnosis.corrected_causes:
         for name, size in cause.parameters.items() if cause.effect.startswith("payload_") else ():

@@ -100,7 +100,7 @@ def curvatures(campaign: Campaign, run: int, model: FrontModel) -> tuple[FloatAr
 def held_out(campaign: Campaign) -> pd.DataFrame:
     """Return curvature over that by the nominal steering, measured and predicted, each recording held out in turn."""
     rows = []
-    nominal = FrontModel.of(campaign.vehicle)
+    nominal = campaign.model.steered(campaign.vehicle)
     numbers = np.arange(len(campaign.runs))
     for run in numbers:
         values = estimate_geometry(campaign.select(numbers != run)).values

@@ -4,7 +4,6 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.settings import FrontModel
 from calib.gap.effects.effect import Effect, Family, Form, Parameter, always
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.steps import Perturbation, joined_perturbation
@@ -27,7 +26,7 @@ def front_travel_m(observations: Observations) -> FloatArray:
     """Return the front wheel's travel of each step, 0 where it was not logged, shape (n_steps,)."""
     logged = has_front(observations)[observations.unit]
     roll_rad = np.where(logged, np.nan_to_num(observations.front_roll_rad), 0.0)
-    return roll_rad * FrontModel.of(observations.vehicle).radius_m
+    return roll_rad * observations.model.steered(observations.vehicle).radius_m
 
 
 def front_turn_rad(observations: Observations) -> FloatArray:

@@ -216,11 +216,11 @@ def _wheel_counts(
         half_m = 0.5 * campaign.model.track_m * heading_rad
         sides = _both_sides(campaign.encoder, distance_m, half_m, radii_of_model(campaign.model, *loads_N))
         counts = dict(zip(WHEEL_COLUMNS["rear"], sides, strict=True))
-        model = FrontModel.of(campaign.vehicle)
+        model = FrontModel(campaign.vehicle.front_radius_m, campaign.vehicle.wheelbase_m)
         return counts | _steered(campaign, distance_m, heading_rad, model, "front") if front else counts
     source = odometry_source(campaign)
     if source in wheels.STEERED:
-        model = campaign.model.front or FrontModel.of(campaign.vehicle)
+        model = campaign.model.steered(campaign.vehicle)
         return _steered(campaign, distance_m, heading_rad, model, source)
     mecanum = mecanum_model(campaign)
     radii_m = (mecanum.radius_m, mecanum.radius_m)
