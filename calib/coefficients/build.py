@@ -249,12 +249,16 @@ def geometry_document(geometry: "Geometry", campaign: Campaign, accept: str = ""
     return {"format": kept.GEOMETRY_FORMAT, **geometry.to_dict(), "coefficients": section}
 
 
+def unit_of(name: str) -> str:
+    """Return the unit of a parameter by the longest suffix that its name ends in, ``1`` by default."""
+    return UNITS[max((suffix for suffix in UNITS if name.endswith(suffix)), key=len, default="_scale")]
+
+
 def joint_section(
     drive: str, source: str, values: Mapping[str, float], names: Sequence[str], covariance: FloatArray
 ) -> kept.GeometrySection:
     """Return the section of parameters estimated together: their values, and the covariance of those of `names`."""
-    suffixes = sorted(UNITS, key=len)
-    units = {name: [UNITS[suffix] for suffix in suffixes if name.endswith(suffix)][-1] for name in values}
+    units = {name: unit_of(name) for name in values}
     entries = []
     for row, column in combinations_with_replacement(range(len(names)), 2):
         one, other = units[names[row]], units[names[column]]

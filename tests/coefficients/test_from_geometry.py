@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.coefficients.build import export, from_geometry
+from calib.coefficients.build import export, from_geometry, unit_of
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.formats import ExportOptions, LoadPair
 from calib.errors import ImplausibleError
@@ -126,3 +126,19 @@ def test_a_blunder_is_not_exported(made: Campaign) -> None:
     off = campaign(mixed(2), Truth(), np.random.default_rng(2), nominal=(0.05, 0.05, 0.2))
     with pytest.raises(ImplausibleError, match="twice the track"):
         from_geometry(estimate_geometry(off), off)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("rear_radius_m", "m"),
+        ("slope_left_m_per_N", "m/N"),
+        ("steering_zero_rad", "rad"),
+        ("steering_scale", "1"),
+        ("understeer_s2_per_m2", "s^2/m^2"),
+        ("side_slip_s2_per_m", "s^2/m"),
+    ],
+)
+def test_a_parameter_has_the_unit_that_its_name_ends_in(name: str, unit: str) -> None:
+    """The longest suffix decides: a slip in s^2/m is no length."""
+    assert unit_of(name) == unit

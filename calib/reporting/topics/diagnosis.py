@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.checks.design import listed
+from calib.coefficients.build import unit_of
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.gap.decision.sentences import is_improbable
 from calib.gap.effects.library import LIBRARY, UNCHANGED, Entry
@@ -207,7 +208,7 @@ def promise_table(now: "Promise | None", then: "Promise") -> Table:
     before = {} if now is None else {each.name: each.half_width for each in now.estimates}
     rows = []
     for each in then.estimates:
-        unit = {"m": "m", "rad": "rad", "N": "m/N"}.get(each.name.rpartition("_")[2], "1")
+        unit = unit_of(each.name)
         known = size_text(before[each.name], unit) if each.name in before else MISSING
         rows.append((each.name, *([] if now is None else [known]), size_text(each.half_width, unit)))
     walk = 1e3 * float(np.sqrt(then.scales[2]))
