@@ -163,6 +163,25 @@ def split_suffix(name: str) -> tuple[str, str | None]:
     return (stem, suffix) if sep and suffix in SUFFIXES else (name, None)
 
 
+#: suffix of a parameter -> its unit
+PARAMETER_UNITS: Final = {
+    "_m": "m",
+    "_rad": "rad",
+    "_s": "s",
+    "_scale": "1",
+    "_m_per_N": "m/N",
+    "_s2_per_m": "s^2/m",
+    "_s2_per_m2": "s^2/m^2",
+}
+
+
+def unit_of(name: str) -> str:
+    """Return the unit of a parameter by the longest suffix that its name ends in, ``1`` by default."""
+    return PARAMETER_UNITS[
+        max((suffix for suffix in PARAMETER_UNITS if name.endswith(suffix)), key=len, default="_scale")
+    ]
+
+
 def convertible(name: str, wanted: str) -> tuple[float, float] | None:
     """Return (factor, offset) that turn column `name` into column `wanted`, or None where they do not match."""
     stem, suffix = split_suffix(name)

@@ -25,7 +25,7 @@ from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleErr
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 from calib.radius.regression import SAME_LOAD
 from calib.radius.result import Fit, is_result, read_result
-from calib.types import GRAVITY_MPS2, FloatArray
+from calib.types import GRAVITY_MPS2, FloatArray, unit_of
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -50,16 +50,6 @@ SLOPE_STD_PER_N: Final = 1e-5
 NOMINAL_STD: Final = 0.01
 #: source of the odometry -> the radius that both rear wheels have; none of a front wheel's own
 WHEEL_RADIUS: Final = {"wheels": "wheel_radius_m", "front": "", "shaft": "rear_radius_m"}
-#: suffix of a parameter -> its unit
-UNITS: Final = {
-    "_m": "m",
-    "_rad": "rad",
-    "_s": "s",
-    "_scale": "1",
-    "_m_per_N": "m/N",
-    "_s2_per_m": "s^2/m",
-    "_s2_per_m2": "s^2/m^2",
-}
 
 
 def from_fit(
@@ -247,11 +237,6 @@ def geometry_document(geometry: "Geometry", campaign: Campaign, accept: str = ""
     except CalibError:
         section = None
     return {"format": kept.GEOMETRY_FORMAT, **geometry.to_dict(), "coefficients": section}
-
-
-def unit_of(name: str) -> str:
-    """Return the unit of a parameter by the longest suffix that its name ends in, ``1`` by default."""
-    return UNITS[max((suffix for suffix in UNITS if name.endswith(suffix)), key=len, default="_scale")]
 
 
 def joint_section(

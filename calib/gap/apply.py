@@ -41,9 +41,8 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     by_fitted[4, 2] = model.track_m
     for row, side in ((0, "left"), (2, "right")):
         of_law = np.array([getattr(model, f"radius_{side}_m"), getattr(model, f"slope_{side}_m_per_N")])
-        # of one counter the wheels' mean is determined alone
-        wheels, share = (slice(0, 2), 0.5) if observations.by_front else (slice(row // 2, row // 2 + 1), 1.0)
-        by_fitted[row : row + 2, wheels] = share * of_law[:, None]
+        share = np.full(2, 0.5) if observations.by_front else np.eye(2)[row // 2]  # of one counter, the mean alone
+        by_fitted[row : row + 2, :2] = np.outer(of_law, share)
         if side in slopes:
             by_fitted[row + 1, slopes[side][1]] = 1.0
     covariance = by_fitted @ fitted.covariance @ by_fitted.T

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.coefficients.build import export, from_geometry, unit_of
+from calib.coefficients.build import export, from_geometry
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.formats import ExportOptions, LoadPair
 from calib.errors import ImplausibleError
@@ -21,6 +21,7 @@ from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry
 from calib.runtime import Odometer
 from calib.runtime.coefficients import CoefficientError, Coefficients
+from calib.types import unit_of
 from calib.vehicle import wheel_loads_N
 from tests.kinematics.campaigns import Truth, campaign, mixed
 

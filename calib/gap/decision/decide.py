@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from math import prod, sqrt
+from math import prod
 from typing import Final
 
 import numpy as np
@@ -24,14 +24,18 @@ from calib.gap.decision.kind import (
     NOTHING_NAMED,
     SMALL_SHARE,
     fails,
+    follows_covariates,
     hides_causes,
     is_shown,
     kind_of,
+    misfit_of,
+    scatters_alone,
+    stands_off,
 )
 from calib.gap.decision.part import as_delivered, is_named_beside, moved, sure_part
-from calib.gap.decision.trials import FALSE_ALARM, most_square, reach_of_noise
+from calib.gap.decision.trials import FALSE_ALARM, reach_of_noise
 from calib.gap.effects.effect import Family, Form
-from calib.gap.effects.encoder import BAD_RUN_RATIO, BLUNDER_MISFIT, misfit
+from calib.gap.effects.encoder import BAD_RUN_RATIO, BLUNDER_MISFIT
 from calib.gap.effects.radii import NAMES
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.gap.inference.marginal_likelihood import Nuisance
@@ -131,7 +135,8 @@ def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
 
 def _as_shown(evidence: Evidence, kind: VerdictKind, gap_probability: float) -> tuple[VerdictKind, float, NoiseSummary]:
     noise_level = NoiseSummary.about(evidence.noise)
-    if kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN} and (words := scatters_alone(evidence)):
+    words = scatters_alone(evidence) if kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN} else ""
+    if words := words or (kind is VerdictKind.NO_GAP and follows_covariates(evidence)) or "":
         return VerdictKind.UNDECIDED, gap_probability, replace(noise_level, supported=False, support=words)
     if kind is VerdictKind.NO_GAP and stands_off(evidence):
         return VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM, noise_level
@@ -144,7 +149,7 @@ def tied_with(causes: Sequence[Cause], groups: Sequence[Sequence[str]]) -> list[
 
 
 def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
-    off = _misfit(evidence)
+    off = misfit_of(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     said = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
     if diagnosis.kind in NOTHING_NAMED:
@@ -179,50 +184,6 @@ def _single_runs(evidence: Evidence) -> tuple[str, ...]:
     return (said,) * (number > 0)
 
 
-def scatters_alone(evidence: Evidence) -> str:
-    """Return how much runs, too few of them driven twice, scatter beyond the stated noise; empty if not beyond it.
-
-    Beyond any level as uncertain as `log_marginal` takes the stated one. Walks of wheels are typical values there, and
-    what follows no covariate nor takes runs far off may be all noise.
-    """
-    n_rows, square = int(evidence.observations.usable.sum()), evidence.fitted.chi_square
-    shown = evidence.where.significant or _misfit(evidence) >= BLUNDER_MISFIT
-    if evidence.noise.dof > 0.0 or not evidence.noise.supported or shown or square <= most_square(n_rows):
-        return ""
-    times = sqrt(square / n_rows)
-    return f"nothing: runs, too few of them driven twice, scatter {times:.2g} times as much as the stated sigmas"
-
-
-def stands_off(evidence: Evidence) -> bool:
-    """Return whether runs that agree stand off on one side beyond the reach of noise.
-
-    All runs of a condition, or one of a route by that much and another beyond noise on that route. Of few conditions
-    one that stands off is no lack of fit, and runs that agree are no single runs. Where no repeats measure the noise,
-    also whether all runs are off beyond any level as uncertain as `log_marginal` takes the stated one.
-    """
-    usable, noise = evidence.observations.usable, evidence.noise
-    if noise.dof <= 0.0 and evidence.fitted.chi_square > most_square(int(usable.sum())):
-        return True
-    scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
-    reach = reach_of_noise(noise.dof, int(usable.sum()))
-    _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
-    agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled.T), *(-reach > scaled.T)]]
-    if (np.array(agree) & (count > 1)).any():
-        return True
-    # windows of a recording share what its radii are off by
-    for route in () if evidence.observations.windowed else np.unique(evidence.observations.kind):
-        mine = evidence.observations.kind == route
-        second = reach_of_noise(noise.dof, int(usable[mine].sum()))
-        for side in (scaled[mine], -scaled[mine]):
-            if ((side > reach).any(axis=0) & ((side > second).sum(axis=0) > 1)).any():
-                return True
-    return False
-
-
-def _misfit(evidence: Evidence) -> float:
-    return float(np.mean(misfit(evidence.fitted.path, evidence.nominal)))
-
-
 def _rather_not(causes: Sequence[Cause], certain: Mapping[str, float]) -> bool:
     large = [cause for cause in causes if cause.share > SMALL_SHARE]
     together = prod(certain.get(cause.effect, cause.probability) for cause in large)
@@ -242,7 +203,7 @@ def _kind(
     improvement = evidence.held_out.improvement
     if improvement is not None and improvement.after_rms > MOST_GROWTH * improvement.before_rms:
         causes = []
-    off = _misfit(evidence)
+    off = misfit_of(evidence)
     if not evidence.noise.supported and off < BLUNDER_MISFIT:
         if is_shown(causes, evidence.held_out.improvement):
             return VerdictKind.PARTLY_EXPLAINED

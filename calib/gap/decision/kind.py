@@ -5,11 +5,14 @@ from dataclasses import replace
 from math import sqrt
 from typing import Final
 
-from calib.gap.decision.diagnosis import Cause, Diagnosis, Unexplained, VerdictKind
+import numpy as np
+
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Unexplained, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN, Closure, Improvement
-from calib.gap.decision.trials import FALSE_ALARM, Trial
-from calib.gap.effects.encoder import BLUNDER_MISFIT
+from calib.gap.decision.trials import FALSE_ALARM, Trial, most_square, reach_of_noise
+from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
+from calib.gap.inference.noise import STATED_EXCESS
 from calib.types import few_digits
 
 #: closure below which an unexplained residual hides whether anything is explained
@@ -144,6 +147,69 @@ def with_left(diagnosis: Diagnosis) -> Diagnosis:
     told = f"left {on}: {'; '.join(where)}; repeats in another session tell noise from a further cause"
     found = Unexplained(min(max(share, 0.0), 1.0), sqrt(square), where)
     return replace(diagnosis, left=found, notes=(*diagnosis.notes, told))
+
+
+def scatters_alone(evidence: Evidence) -> str:
+    """Return how much runs, too few of them driven twice, scatter beyond the stated noise; empty if not beyond it.
+
+    Beyond any level as uncertain as `log_marginal` takes the stated one. Walks of wheels are typical values there, and
+    what follows no covariate nor takes runs far off may be all noise.
+    """
+    n_rows, square = int(evidence.observations.usable.sum()), evidence.fitted.chi_square
+    shown = evidence.where.significant or misfit_of(evidence) >= BLUNDER_MISFIT
+    if evidence.noise.dof > 0.0 or not evidence.noise.supported or shown or square <= most_square(n_rows):
+        return ""
+    times = sqrt(square / n_rows)
+    return f"nothing: runs, too few of them driven twice, scatter {times:.2g} times as much as the stated sigmas"
+
+
+def follows_covariates(evidence: Evidence) -> str:
+    """Return in which channel repeats scatter far more than stated, and follow what; empty if in none.
+
+    What follows a quantity that was written down is no noise, however alike the runs are that scatter so.
+    """
+    excess = evidence.noise.excess
+    told = [line for line in evidence.where.significant if line.channel is not None]
+    odd = [line for line in told if excess[line.channel] > STATED_EXCESS]
+    if not odd:
+        return ""
+    channel = max((line.channel for line in odd if line.channel is not None), key=lambda each: excess[each])
+    names = ", ".join(each.name for each in odd if each.channel is channel)
+    return (
+        f"repeats that scatter {excess[channel]:.2g} times as much in {channel.label} as the stated sigmas and typical "
+        f"wheels would, and follow {names}"
+    )
+
+
+def stands_off(evidence: Evidence) -> bool:
+    """Return whether runs that agree stand off on one side beyond the reach of noise.
+
+    All runs of a condition, or one of a route by that much and another beyond noise on that route. Of few conditions
+    one that stands off is no lack of fit, and runs that agree are no single runs. Where no repeats measure the noise,
+    also whether all runs are off beyond any level as uncertain as `log_marginal` takes the stated one.
+    """
+    usable, noise = evidence.observations.usable, evidence.noise
+    if noise.dof <= 0.0 and evidence.fitted.chi_square > most_square(int(usable.sum())):
+        return True
+    scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
+    reach = reach_of_noise(noise.dof, int(usable.sum()))
+    _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
+    agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled.T), *(-reach > scaled.T)]]
+    if (np.array(agree) & (count > 1)).any():
+        return True
+    # windows of a recording share what its radii are off by
+    for route in () if evidence.observations.windowed else np.unique(evidence.observations.kind):
+        mine = evidence.observations.kind == route
+        second = reach_of_noise(noise.dof, int(usable[mine].sum()))
+        for side in (scaled[mine], -scaled[mine]):
+            if ((side > reach).any(axis=0) & ((side > second).sum(axis=0) > 1)).any():
+                return True
+    return False
+
+
+def misfit_of(evidence: Evidence) -> float:
+    """Return by how much of their length runs end off with the causes corrected, on average."""
+    return float(np.mean(misfit(evidence.fitted.path, evidence.nominal)))
 
 
 #: effects beside a cause that is not sure, from the likeliest down to one in twenty, that the next runs should exclude

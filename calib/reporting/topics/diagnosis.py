@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.checks.design import listed
-from calib.coefficients.build import unit_of
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.gap.decision.sentences import is_improbable
 from calib.gap.effects.library import LIBRARY, UNCHANGED, Entry
@@ -21,7 +20,7 @@ from calib.reporting.formatting import MISSING, fixed, length, plural, prose, th
 from calib.reporting.source import doubtful_causes
 from calib.reporting.topics import gap as findings
 from calib.reporting.topics.gap import effect_name
-from calib.types import FloatArray, floats
+from calib.types import FloatArray, floats, unit_of
 
 if TYPE_CHECKING:
     from calib.kinematics.assemble import Promise

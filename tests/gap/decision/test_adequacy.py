@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from calib.gap.decision import decide
+from calib.gap.decision import kind as deciding
 from calib.gap.decision.causes import limited_beside, places_as_unexplained
-from calib.gap.decision.decide import stands_off
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained, VerdictKind
 from calib.gap.decision.fix import noise_bounded
 from calib.gap.decision.held_out import Closure, Improvement
-from calib.gap.decision.kind import fails, is_shown, kind_of
+from calib.gap.decision.kind import fails, follows_covariates, is_shown, kind_of, scatters_alone, stands_off
 from calib.gap.decision.trials import Trial
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
+from calib.gap.localise.covariates import CovariateResult
+from calib.gap.observations.arrays import Channel
 
 #: the correction of one certain effect closes the gap on held-out runs
 CLOSED = Closure(fraction=0.98, ci95=(0.95, 1.0), floor_rms_m=0.004)
@@ -210,7 +212,7 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
 def test_what_held_out_runs_do_not_confirm_is_not_explained(
     monkeypatch: pytest.MonkeyPatch, low: float, kind: VerdictKind
 ) -> None:
-    monkeypatch.setattr(decide, "_misfit", lambda evidence: 0.0)
+    monkeypatch.setattr(decide, "misfit_of", lambda evidence: 0.0)
     monkeypatch.setattr(decide, "kind_of", lambda *given, **further: VerdictKind.EXPLAINED)
     held_out = SimpleNamespace(improvement=Improvement(1.22, 1.16, (low, 0.2), (0.0, 1.0)), closure=None)
     evidence = SimpleNamespace(held_out=held_out, noise=SimpleNamespace(supported=True), trials=())
@@ -230,14 +232,35 @@ def test_what_held_out_runs_do_not_confirm_is_not_explained(
 def test_what_none_driven_twice_scatter_by_is_no_gap_shown(
     monkeypatch: pytest.MonkeyPatch, times: float, dof: float, lines: tuple[str, ...], off: float, told: bool
 ) -> None:
-    monkeypatch.setattr(decide, "_misfit", lambda evidence: off)
+    monkeypatch.setattr(deciding, "misfit_of", lambda evidence: off)
     evidence = SimpleNamespace(
         observations=SimpleNamespace(usable=np.ones((40, 2), bool)),
         noise=SimpleNamespace(dof=dof, supported=True),
         fitted=SimpleNamespace(chi_square=80.0 * times**2),
         where=SimpleNamespace(significant=lines),
     )
-    assert bool(decide.scatters_alone(evidence)) is told  # type: ignore[arg-type]
+    assert bool(scatters_alone(evidence)) is told  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("excess", "channel", "told"),
+    [
+        (3.4, Channel.HEADING, "3.4 times as much in heading"),
+        (1.5, Channel.HEADING, ""),  # a stated level may be off by as much
+        (3.4, Channel.ALONG, ""),  # another channel
+        (3.4, None, ""),  # of a wheel, in no channel
+    ],
+)
+def test_repeats_that_scatter_far_more_than_stated_and_follow_what_was_written_down_measure_no_noise(
+    excess: float, channel: Channel | None, told: str
+) -> None:
+    """A wheel that slips on cold mornings alone was no gap, with exit status 0."""
+    every = np.full(len(Channel), 1.1)
+    every[Channel.HEADING] = excess
+    line = CovariateResult("temperature_C", channel, 1.0, None, 1e-3, significant=True, n_units=36)
+    evidence = SimpleNamespace(noise=SimpleNamespace(excess=every), where=SimpleNamespace(significant=(line,)))
+    words = follows_covariates(evidence)  # type: ignore[arg-type]
+    assert told in words and bool(words) is bool(told) is ("follow temperature_C" in words)
 
 
 @pytest.mark.parametrize(
@@ -259,7 +282,7 @@ def test_no_cause_is_shown_where_runs_end_off_as_no_vehicle_does(
     monkeypatch: pytest.MonkeyPatch, off: float, kind: VerdictKind
 ) -> None:
     """Exchanged wheels made a radius of -160 % a certain cause, as it closed 84 % where nothing supports the noise."""
-    monkeypatch.setattr(decide, "_misfit", lambda _: off)
+    monkeypatch.setattr(decide, "misfit_of", lambda _: off)
     shown = Cause("radius_scale", "", "", 0.96, 0.7, 2850.0, {"relative": Quantity(-1.6, (-1.61, -1.59), "1")})
     improvement = Improvement(240.0, 97.0, (142.0, 143.0), (0.83, 0.84))
     evidence = SimpleNamespace(
