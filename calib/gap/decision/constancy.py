@@ -138,28 +138,35 @@ def _is_predicted(evidence: Evidence, effect: str) -> bool:
     return by == evidence.held_out.closure.held_out == "session" and float(fdtrc(k, free, ratio)) < FALSE_REJECTION
 
 
-def beside_named_steps(causes: Sequence[Cause], later: Sequence[str] = ()) -> Iterator[Cause]:
+def beside_named_steps(causes: Sequence[Cause], later: Sequence[str]) -> Iterator[Cause]:
     """Yield causes; radii beside session steps with an interval that holds their scatter.
 
     They are means of the sessions driven, no promise for others. `later`: names of all but the first.
     """
-    step = next((cause for cause in causes if cause.effect == SessionStep.id), None)
-    steps = {} if step is None else step.parameters
-    # the first session's is not stated: the others count from it
-    by_session = [[0.0, *(size.value for name, size in steps.items() if name.startswith(side))] for side in _SIDES]
-    if step is not None and step.form:
-        before = 1 + later.index(next(iter(steps)).partition("_")[2])
-        by_session = [[0.0] * before + [own[-1]] * (len(later) + 1 - before) for own in by_session]
+    more = half_of_steps(causes, later)
     for cause in causes:
-        if steps and cause.effect in SessionStep.shifts:
-            direction = DIRECTIONS[NAMES.index(cause.effect), : len(_SIDES)]
-            more = half_of_mean(direction @ np.array(by_session) / (direction @ direction))
+        if cause.effect in more:
             (name, size) = next(iter(cause.parameters.items()))
-            half = float(np.hypot(more, 0.5 * (size.ci95[1] - size.ci95[0])))
+            half = float(np.hypot(more[cause.effect], 0.5 * (size.ci95[1] - size.ci95[0])))
             whole = replace(size, ci95=(size.value - half, size.value + half))
-            text = f"the mean of {len(by_session[0])} sessions, and the interval holds their steps"
+            text = f"the mean of {len(later) + 1} sessions, and the interval holds their steps"
             cause = replace(cause, parameters={name: whole}, remark=cause.remark or text)
         yield cause
+
+
+def half_of_steps(causes: Sequence[Cause], later: Sequence[str]) -> dict[str, float]:
+    """Return half the 95 % interval that named session steps leave of mean radii, by effect; none without steps."""
+    step = next((cause for cause in causes if cause.effect == SessionStep.id and cause.parameters), None)
+    if step is None:
+        return {}
+    # the first session's is not stated: the others count from it
+    steps = step.parameters.items()
+    by_session = [[0.0, *(size.value for name, size in steps if name.startswith(side))] for side in _SIDES]
+    if step.form:
+        before = 1 + later.index(next(iter(step.parameters)).partition("_")[2])
+        by_session = [[0.0] * before + [own[-1]] * (len(later) + 1 - before) for own in by_session]
+    directions = {name: DIRECTIONS[NAMES.index(name), : len(_SIDES)] for name in SessionStep.shifts}
+    return {name: half_of_mean(along @ np.array(by_session) / (along @ along)) for name, along in directions.items()}
 
 
 def half_of_mean(results: FloatArray) -> float:

@@ -47,6 +47,8 @@ OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 
 #: what more than doubles the error on held-out runs explains nothing; less may be a run that alone tells a length
 MOST_GROWTH: Final = 2.0
+#: what to write where places mean nothing
+FRAME: Final = 'write reference.frame = "start" where each begins anywhere'
 #: remarks on the data before a verdict: more push it off the screen
 MOST_SAID: Final = 3
 
@@ -287,6 +289,8 @@ def _on_causes(evidence: Evidence, causes: Sequence[Cause], small: Sequence[str]
     for effect in (evidence.effects[cause.effect] for cause in causes if cause.effect in evidence.effects):
         if assumption := effect.assumption(evidence.observations):
             yield f"{effect.id}: {assumption}"
+        if effect.id.startswith("floor_") and evidence.situation.campaign.reference.frame is None:
+            yield f"{effect.id}: runs labelled out and back are taken to lie on one floor; {FRAME}"
     if small and causes:
         what = f"too small beside the largest cause to be named: {', '.join(small)}"
         yield f"{what}; correct that first, then diagnose again"

@@ -10,12 +10,14 @@ import numpy as np
 from calib.gap.decision import confounding
 from calib.gap.decision import fix as rule
 from calib.gap.decision.causes import Finding, jointly_zero
+from calib.gap.decision.constancy import half_of_steps
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
 from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.kind import CERTAIN_PROBABILITY
 from calib.gap.decision.trials import Trial, most_square, trials
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
+from calib.gap.effects.quantities import session_steps
 from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
@@ -203,7 +205,9 @@ def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Qu
     # what the fit held is known
     inverse = np.linalg.inv(covariance)
     sd = np.sqrt(np.diag(np.linalg.inv(inverse[np.ix_(free, free)])))
-    half = float(stdtrit(max(evidence.noise.dof, 3.0), 0.975)) * sd
+    more = half_of_steps(causes, [name for name, _ in session_steps(evidence.observations)])
+    steps = [more.get(NAMES[k], 0.0) for k in free]
+    half = np.hypot(float(stdtrit(max(evidence.noise.dof, 3.0), 0.975)) * sd, steps)
     named = {cause.effect for cause in causes}
     sizes = {NAMES[k]: (float(values[k]), float(h)) for k, h in zip(free, half, strict=True) if NAMES[k] not in named}
     return {name: Quantity(value, (value - h, value + h), "1") for name, (value, h) in sizes.items()}

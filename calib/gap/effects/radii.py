@@ -125,7 +125,7 @@ class Wear(Effect):
     implausible = "temperature, or something else that drifted over the campaign"
     family = Family.DRIFT
     columns = ("travelled_km",)
-    needs = "travelled_km, or two sessions"
+    needs = "some kilometres driven, or two sessions"
     separates = "a reference run repeated over many kilometres"
     shifts = ("radius_scale", "unequal_radii")
 

@@ -281,7 +281,7 @@ class SteeringDelay(Effect):
     """
 
     id = "steering_delay"
-    title = "a delay between the logged steering angle and the wheel"
+    title = "a logged steering angle that lags the wheel, or leads it (below 0)"
     implausible = "a steering angle of wrong scale"
     family = Family.STEERING
     needs = "the front wheel in a log with times"

@@ -214,7 +214,7 @@ def test_radii_beside_steps_of_the_sessions_are_the_mean_of_sessions() -> None:
     for signs, stepping in (((1, 1), "radius_scale"), ((-1, 1), "unequal_radii")):
         sizes = dict(zip(names, np.outer([4e-4, -2e-4], signs).ravel().tolist(), strict=True))
         steps = Cause("session_step", "", "", 0.9, 0.5, 30.0, {n: Quantity(v, (v, v), "1") for n, v in sizes.items()})
-        widened = {one.effect: one for one in beside_named_steps([*radii.values(), steps])}
+        widened = {one.effect: one for one in beside_named_steps([*radii.values(), steps], ["b", "c"])}
         # of left and right against each other by 4e-4 each, the difference is 8e-4
         results = np.array([0.0, 4e-4, -2e-4]) * (1.0 if stepping == "radius_scale" else 2.0)
         half = float(np.hypot(1e-4, half_of_mean(results)))
@@ -224,7 +224,7 @@ def test_radii_beside_steps_of_the_sessions_are_the_mean_of_sessions() -> None:
                 assert "mean of 3 sessions" in one.remark
             elif name in radii:
                 assert one.parameters["relative"].ci95 == pytest.approx((9e-4, 1.1e-3))
-    assert [one.remark for one in beside_named_steps(list(radii.values()))] == ["", "", ""]
+    assert [one.remark for one in beside_named_steps(list(radii.values()), ["b", "c"])] == ["", "", ""]
 
 
 def test_of_a_step_that_lasts_the_mean_is_that_of_all_sessions() -> None:

@@ -236,3 +236,25 @@ def test_a_fix_that_leads_one_session_further_off_is_none_though_the_others_gain
     worse = part._worse_sessions(evidence, left_out, before, before - 5.0)  # type: ignore[arg-type]
     assert [text.split()[4] for text in worse] == ["day3", "day1"]
     assert not part._worse_sessions(evidence, left_out, before, before - 0.2)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("stepping", [False, True])
+def test_radii_that_a_fix_moves_beside_named_steps_have_intervals_that_hold_these(
+    stepping: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three sessions that scatter by 0.15 % tell the mean radius to 0.4 %, however well each knows its own."""
+    steps = {"left_b": -3.0e-3, "right_b": -2.4e-3, "left_c": -1.4e-3, "right_c": 1.3e-3}
+    sizes = {name: Quantity(value, (value, value), "1") for name, value in steps.items()}
+    causes = [Cause("travel_direction", "", "", 0.96, 0.5, 30.0, {})]
+    causes += [Cause("session_step", "", "", 0.96, 0.5, 30.0, sizes)] * stepping
+    fitted = SimpleNamespace(calibration=np.array([3e-4, 1e-4, 0.0]), covariance=1e-10 * np.eye(3))
+    evidence = SimpleNamespace(
+        fitted=SimpleNamespace(at_end=lambda: fitted), noise=SimpleNamespace(dof=30.0), observations=None
+    )
+    monkeypatch.setattr(part, "session_steps", lambda _: [("b", None), ("c", None)])
+    low, high = part.moved(evidence, Fix(), causes)["radius_scale"].ci95  # type: ignore[arg-type]
+    # Student's t of two degrees of freedom, 4.303, times the scatter of the sessions' means over root 3; without steps
+    # that of thirty, 2.042, times the standard uncertainty of the mean of two radii
+    half = 4.303 * float(np.std([0.0, -2.7e-3, -5e-5], ddof=1)) / np.sqrt(3.0)
+    assert 0.5 * (high - low) == pytest.approx(half if stepping else 2.042e-5 / np.sqrt(2.0), rel=1e-3)
+    assert (low < 0.0) is stepping
