@@ -24,11 +24,11 @@ from calib.gap.decision.kind import (
     NOTHING_NAMED,
     SMALL_SHARE,
     fails,
-    follows_covariates,
     hides_causes,
     is_shown,
     kind_of,
     misfit_of,
+    no_mere_noise,
     scatters_alone,
     stands_off,
 )
@@ -138,7 +138,7 @@ def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
 def _as_shown(evidence: Evidence, kind: VerdictKind, gap_probability: float) -> tuple[VerdictKind, float, NoiseSummary]:
     noise_level = NoiseSummary.about(evidence.noise)
     words = scatters_alone(evidence) if kind in {VerdictKind.NO_GAP, VerdictKind.UNKNOWN} else ""
-    if words := words or (kind is VerdictKind.NO_GAP and follows_covariates(evidence)) or "":
+    if words := words or (kind is VerdictKind.NO_GAP and no_mere_noise(evidence)) or "":
         return VerdictKind.UNDECIDED, gap_probability, replace(noise_level, supported=False, support=words)
     if kind is VerdictKind.NO_GAP and stands_off(evidence):
         return VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM, noise_level

@@ -18,7 +18,7 @@ from calib.gap.effects.radii import AnySpeed
 from calib.gap.effects.reference import ReferenceScale, TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
-from calib.gap.inference.local_search import SearchResult
+from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import Recalibration
 from calib.gap.localise.locate import GapLocation
@@ -287,6 +287,12 @@ class Diagnosis(Result):
         return "the campaign's own model" if self.judged_against == BY_MODEL else self.judged_against
 
     @property
+    def is_improbable(self) -> bool:
+        """Whether a gap that is reported is less probable than none."""
+        none_shown = self.kind in {VerdictKind.NO_GAP, VerdictKind.UNDECIDED} or self.gap_probability is None
+        return not none_shown and (self.gap_probability or 0.0) < EVEN_PROBABILITY
+
+    @property
     def recommended(self) -> bool:
         """Whether the fix is recommended."""
         return self.fix.recommended
@@ -348,10 +354,8 @@ class Diagnosis(Result):
         rows = [
             {
                 **{key: cause[key] for key in ("effect", "form", "probability", "share")},
-                "parameter": name,
-                "value": quantity["value"],
-                "low_95": quantity["ci95"][0],
-                "high_95": quantity["ci95"][1],
+                **{"parameter": name, "value": quantity["value"]},
+                **dict(zip(("low_95", "high_95"), quantity["ci95"], strict=True)),
                 "unit": quantity["unit"],
             }
             for cause in self.to_dict()["causes"]
@@ -391,6 +395,6 @@ class Plan(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return the plan as plain values: what ``calib plan --json`` prints."""
         document = self.diagnosis.to_dict()
-        kept = {key: document[key] for key in ("verdict", "simulated", "indistinguishable")}
         geometry = {"now": self.now and self.now.to_dict(), "then": self.then and self.then.to_dict()}
+        kept = {key: document[key] for key in ("verdict", "simulated", "indistinguishable")}
         return {**kept, "next_runs": plain(self.runs), "geometry": geometry}

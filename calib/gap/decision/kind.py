@@ -12,7 +12,8 @@ from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN,
 from calib.gap.decision.trials import FALSE_ALARM, Trial, most_square, reach_of_noise
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
-from calib.gap.inference.noise import STATED_EXCESS
+from calib.gap.inference.noise import MAX_NOISE_EXCESS, STATED_EXCESS
+from calib.gap.observations.arrays import Channel
 from calib.types import few_digits
 
 #: closure below which an unexplained residual hides whether anything is explained
@@ -114,7 +115,7 @@ def tells_more(windows: Diagnosis, ends: Diagnosis) -> bool:
 
     A gap beyond chance that is mostly no noise where ends show none, or causes of all of one without likely ones there.
     """
-    if ends.kind not in NO_GAP_SHOWN:
+    if ends.kind not in NO_GAP_SHOWN and not ends.is_improbable:
         return windows.kind is VerdictKind.EXPLAINED and windows.recommended
     large = any(line.before_rms > LARGE_RESIDUAL * line.floor_rms for line in windows.closure.channels)
     return large and windows.kind not in NO_GAP_SHOWN and (windows.gap_probability or 0.0) >= 1.0 - FALSE_ALARM
@@ -163,21 +164,23 @@ def scatters_alone(evidence: Evidence) -> str:
     return f"nothing: runs, too few of them driven twice, scatter {times:.2g} times as much as the stated sigmas"
 
 
-def follows_covariates(evidence: Evidence) -> str:
-    """Return in which channel repeats scatter far more than stated, and follow what; empty if in none.
+def no_mere_noise(evidence: Evidence) -> str:
+    """Return in which channel repeats scatter far more than stated, by what; empty if in none.
 
-    What follows a quantity that was written down is no noise, however alike the runs are that scatter so.
+    What follows a quantity that was written down is no noise, and beyond `MAX_NOISE_EXCESS` not even repeats tell what
+    scatters so: runs of another vehicle among them make it.
     """
-    excess = evidence.noise.excess
-    told = [line for line in evidence.where.significant if line.channel is not None]
-    odd = [line for line in told if excess[line.channel] > STATED_EXCESS]
-    if not odd:
+    excess = np.nan_to_num(evidence.noise.excess)
+    told = {line.channel: line for line in evidence.where.significant if line.channel is not None}
+    odd = [channel for channel in told if excess[channel] > STATED_EXCESS]
+    channel = max(odd, key=lambda each: excess[each], default=Channel(int(np.argmax(excess))))
+    if not odd and excess[channel] <= MAX_NOISE_EXCESS:
         return ""
-    channel = max((line.channel for line in odd if line.channel is not None), key=lambda each: excess[each])
-    names = ", ".join(each.name for each in odd if each.channel is channel)
+    names = ", ".join(line.name for line in evidence.where.significant if line.channel is channel)
+    follow = f"and follow {names}" if odd else "which single runs may make: look at those with the largest gap"
     return (
-        f"repeats that scatter {excess[channel]:.2g} times as much in {channel.label} as the stated sigmas and typical "
-        f"wheels would, and follow {names}"
+        f"repeats that scatter {few_digits(excess[channel], 2)} times as much in {channel.label} as the stated sigmas "
+        f"and typical wheels would, {follow}"
     )
 
 

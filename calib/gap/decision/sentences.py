@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.decision.held_out import LARGE_RESIDUAL, RERUN, ChannelClosure
-from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE, NO_GAP_SHOWN, ON_FLOOR, fails
+from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE, ON_FLOOR, fails
 from calib.gap.effects.library import effect_class, title_of
 from calib.gap.effects.radii import HIDES_IN
 from calib.gap.inference.local_search import EVEN_PROBABILITY
@@ -53,12 +53,6 @@ def blunder_sentence(diagnosis: Diagnosis, off: float) -> str:
     )
 
 
-def is_improbable(diagnosis: Diagnosis) -> bool:
-    """Return whether a gap that is reported is less probable than none."""
-    gap = diagnosis.gap_probability
-    return diagnosis.kind not in NO_GAP_SHOWN and gap is not None and gap < EVEN_PROBABILITY
-
-
 def _verdict(diagnosis: Diagnosis) -> str:
     kind, lead = diagnosis.kind, _channels(diagnosis)
     if kind is VerdictKind.NO_GAP:
@@ -66,7 +60,7 @@ def _verdict(diagnosis: Diagnosis) -> str:
     if kind is VerdictKind.UNDECIDED:
         return f"These runs cannot show whether there is a gap: {_unsupported(diagnosis)}."
     before = ""
-    if is_improbable(diagnosis):
+    if diagnosis.is_improbable:
         before = f"The probability of a gap is {diagnosis.gap_probability:.2f} only; if there is one"
     if kind is VerdictKind.UNKNOWN:
         cause = f"{before or 'There is a gap, but'} no effect of the library explains it{_located(diagnosis.where)}."

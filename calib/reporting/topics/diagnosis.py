@@ -9,7 +9,6 @@ import numpy as np
 
 from calib.campaign.checks.design import listed
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
-from calib.gap.decision.sentences import is_improbable
 from calib.gap.effects.library import LIBRARY, UNCHANGED, Entry
 from calib.gap.effects.reference import RangefinderScale, ReferenceScale
 from calib.gap.observations.arrays import Channel
@@ -42,7 +41,7 @@ IMPROBABLE_GAP: Final = ("note", "Probably no gap")
 
 def verdict_notice(verdict: Diagnosis) -> Notice:
     """Return the verdict with its sentence."""
-    level, title = IMPROBABLE_GAP if is_improbable(verdict) else TITLES[verdict.kind]
+    level, title = IMPROBABLE_GAP if verdict.is_improbable else TITLES[verdict.kind]
     # a title says its sentence's beginning already
     text = prose(verdict.sentence.removeprefix(title).lstrip(": "))
     return Notice(level, with_kind(title, verdict.kind), text)

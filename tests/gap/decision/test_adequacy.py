@@ -15,7 +15,7 @@ from calib.gap.decision.causes import limited_beside, places_as_unexplained
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained, VerdictKind
 from calib.gap.decision.fix import noise_bounded
 from calib.gap.decision.held_out import Closure, Improvement
-from calib.gap.decision.kind import fails, follows_covariates, is_shown, kind_of, scatters_alone, stands_off
+from calib.gap.decision.kind import fails, is_shown, kind_of, no_mere_noise, scatters_alone, stands_off
 from calib.gap.decision.trials import Trial
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 from calib.gap.localise.covariates import CovariateResult
@@ -249,6 +249,7 @@ def test_what_none_driven_twice_scatter_by_is_no_gap_shown(
         (1.5, Channel.HEADING, ""),  # a stated level may be off by as much
         (3.4, Channel.ALONG, ""),  # another channel
         (3.4, None, ""),  # of a wheel, in no channel
+        (13.0, None, "13 times as much in heading"),  # runs of another vehicle among the repeats
     ],
 )
 def test_repeats_that_scatter_far_more_than_stated_and_follow_what_was_written_down_measure_no_noise(
@@ -259,8 +260,9 @@ def test_repeats_that_scatter_far_more_than_stated_and_follow_what_was_written_d
     every[Channel.HEADING] = excess
     line = CovariateResult("temperature_C", channel, 1.0, None, 1e-3, significant=True, n_units=36)
     evidence = SimpleNamespace(noise=SimpleNamespace(excess=every), where=SimpleNamespace(significant=(line,)))
-    words = follows_covariates(evidence)  # type: ignore[arg-type]
-    assert told in words and bool(words) is bool(told) is ("follow temperature_C" in words)
+    words = no_mere_noise(evidence)  # type: ignore[arg-type]
+    assert told in words and bool(words) is bool(told)
+    assert ("follow temperature_C" in words) is (told.startswith("3.4"))
 
 
 @pytest.mark.parametrize(
