@@ -354,8 +354,8 @@ class Diagnosis(Result):
         rows = [
             {
                 **{key: cause[key] for key in ("effect", "form", "probability", "share")},
-                **{"parameter": name, "value": quantity["value"]},
-                **dict(zip(("low_95", "high_95"), quantity["ci95"], strict=True)),
+                "parameter": name,
+                **dict(zip(("value", "low_95", "high_95"), (quantity["value"], *quantity["ci95"]), strict=True)),
                 "unit": quantity["unit"],
             }
             for cause in self.to_dict()["causes"]
