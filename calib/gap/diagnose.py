@@ -19,7 +19,7 @@ from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import HeldOut, measure_closure
-from calib.gap.decision.kind import fails, open_questions, tells_more, with_left
+from calib.gap.decision.kind import fails, kept_back_by_ends, open_questions, tells_more, with_left
 from calib.gap.decision.trials import most_square, trials
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
@@ -93,7 +93,7 @@ def diagnose_in_full(
         along = replace(sought, into_windows=True)
         windows = replace(along.situation(given), omitted=situation.omitted)
         if windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):
-            diagnosis = by_windows
+            diagnosis = kept_back_by_ends(by_windows, diagnosis)
     notes = (f"copies of other runs, which count once: {listed(copied)}",) * bool(copied) + diagnosis.notes
     diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence}{unloaded}", notes=notes)
     if not plan or not diagnosis.groups or (evidence := diagnosis.evidence) is None:

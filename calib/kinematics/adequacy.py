@@ -346,10 +346,6 @@ LENGTHS_ALONE: Final = (
 def _further(
     fitted: Fitted, whole: Model, outliers: Sequence[str], large: BoolArray, position: Residuals, heading: Residuals
 ) -> Iterator[str]:
-    """Yield what makes a result doubtful beside its residuals.
-
-    `large` (shape (n_segments,)): residuals that are no small share of the way; small ones are no blunder.
-    """
     n_runs = len(np.unique(whole.segments.run))
     yield from _along(fitted, outliers, position.usual_noise)
     numbers, n_free = int(fitted.model.segments.seen.sum()), int(fitted.parameters.free.sum())

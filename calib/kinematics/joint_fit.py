@@ -352,7 +352,6 @@ def with_own_zeros(fitted: Fitted) -> Fitted:
 
 
 def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, deviation: FloatArray) -> Shared:
-    """`solution`: at the deviations; `fitted`: with one zero; `spread`: of the recordings' `deviation`, rad."""
     zero, scale = map(fitted.parameters.names.index, (STEERING_ZERO, STEERING_SCALE))
     # a deviation is added to the angle before its scale
     by_zero = solution.prediction.jacobian[:, :, zero] * solution.values[scale]
@@ -361,10 +360,6 @@ def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, 
 
 
 def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArray, FloatArray, float]:
-    """Return parameters, recordings' deviations and their spread after one linear step.
-
-    `solution`: with its random effect; `spread`: as it is now, rad.
-    """
     free, shared = fitted.parameters.free, solution.shared
     assert shared is not None
     jacobian, residuals = whitened(solution, free)

@@ -370,7 +370,6 @@ def _channel_units(gap: GapArrays) -> dict[str, str]:
 
 
 def _noise_limits(gap: GapArrays) -> dict[str, float]:
-    """Return two standard deviations of the noise of each measured channel, in mm or mrad, by its name."""
     limits = {name: 2e3 * rms(column) for (name, _), column in zip(gap.channels, gap.noise_level.T, strict=True)}
     return {name: float(np.nan_to_num(limits[name])) for name in _channel_units(gap)}
 

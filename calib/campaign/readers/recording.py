@@ -138,7 +138,6 @@ def check_not_empty(recording: Recording, shown: str) -> None:
 
 
 def _planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return columns with a quaternion (qx, qy, qz, qw) replaced by its continuous yaw."""
     if "qw" not in columns:
         return dict(columns)
     qx, qy, qz, qw = (columns[name] for name in POSE[3:])

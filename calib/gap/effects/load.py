@@ -57,7 +57,6 @@ def _shown_by(path: Path, others: BoolArray) -> FloatArray:
 
 
 def _payload_load_N(observations: Observations) -> tuple[FloatArray, FloatArray]:
-    """Return what the reported payload adds to the left and right wheel, each shape (n_obs,) (Eqs 1 and 2)."""
     payload = np.nan_to_num(observations.number("payload_kg"))
     x, y = observations.number("payload_x_m"), observations.number("payload_y_m")
     x, y = np.where(np.isnan(x), observations.vehicle.cog_x_m, x), np.nan_to_num(y)

@@ -286,10 +286,6 @@ def _most_probable(
     settle: Callable[[LocalSearch, Fitted], _Settled | None],
     weigh: Callable[[LocalSearch], _WeighedModels],
 ) -> tuple[LocalSearch, Fitted, _WeighedModels]:
-    """Move to the most probable set of effects until the current one is so about its own path, too.
-
-    Of sets that take turns, that of the fewest effects; none whose fit runs away.
-    """
     visited: dict[tuple[str, ...], tuple[LocalSearch, Fitted, _WeighedModels]] = {}
     for _ in range(_MAX_SET_CHANGES):
         weighed = weigh(local)

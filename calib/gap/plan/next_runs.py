@@ -104,7 +104,6 @@ def next_runs(
 
 
 def _needed(task: Task, chosen: list[int], kept: Collection[int], most: int) -> tuple[list[int], list[int]]:
-    """Return `most` of the chosen runs that tell something, `kept` first, and the unladen one where they need it."""
     for n in reversed(chosen):
         others = [other for other in chosen if other != n]
         if n not in kept and (task.tied or n == 0) and task.told(others) >= task.told(chosen):
