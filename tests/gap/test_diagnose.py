@@ -72,12 +72,12 @@ def crossed(diagnosed_sample: Diagnosed) -> Diagnosis:
 
 @pytest.fixture(scope="module")
 def sound() -> Diagnosis:
-    return diagnose_in_full(rich_campaign())
+    return diagnose_in_full(rich_campaign(), plan=False)
 
 
 @pytest.fixture(scope="module")
 def faulty() -> Diagnosis:
-    return diagnose_in_full(rich_campaign(factor=4.0, warmth=WARMTH))
+    return diagnose_in_full(rich_campaign(factor=4.0, warmth=WARMTH), plan=False)
 
 
 def test_the_corrections_of_load_and_session_differ_on_journeys_by_the_load_law(
@@ -162,7 +162,7 @@ def test_a_model_that_is_right_has_no_gap(sound: Diagnosis) -> None:
 def test_an_effect_is_named_with_its_size_and_excluded_on_request() -> None:
     """Radii that follow the temperature: named within its interval; excluded, it is neither named nor offered."""
     warm = rich_campaign(warmth=WARMTH)
-    diagnosis = diagnose_in_full(warm)
+    diagnosis = diagnose_in_full(warm, plan=False)
     assert diagnosis.kind is VerdictKind.EXPLAINED
     assert [cause.effect for cause in diagnosis.causes] == ["temperature_radius"]
     low, high = diagnosis.causes[0].parameters["alpha"].ci95
@@ -184,7 +184,7 @@ def test_a_blunder_is_named_beside_other_causes(faulty: Diagnosis) -> None:
 
 
 def test_the_same_seed_gives_the_same_diagnosis(sound: Diagnosis) -> None:
-    assert diagnose_in_full(rich_campaign()).to_dict() == sound.to_dict()
+    assert diagnose_in_full(rich_campaign(), plan=False).to_dict() == sound.to_dict()
 
 
 def only(built: Campaign, *names: str) -> Campaign:
@@ -202,7 +202,7 @@ def only(built: Campaign, *names: str) -> Campaign:
 def test_nothing_to_compare_is_refused(names: tuple[str, ...]) -> None:
     """Half an end pose, or none, is no measurement: refused with what would be one."""
     with pytest.raises(RefusedError, match=r"distance_m|measured"):
-        diagnose_in_full(only(rich_campaign(), *names))
+        diagnose_in_full(only(rich_campaign(), *names), plan=False)
 
 
 def plain(value: Any) -> bool:
