@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,10 +21,11 @@ from tests.gap.effects.making import MODEL, RADIUS_M, Motion, Run, rich_runs, si
 Truth = Callable[[Run, Motion], None]
 
 
+@cache
 def searched(
     truth: Truth, exclude: tuple[str, ...] = (), settings: SearchSettings | None = None, seed: int = 2
 ) -> SearchResult:
-    """The search on rich runs with instruments that scatter as stated."""
+    """The search on rich runs with instruments that scatter as stated, made once; nobody changes it."""
     rng = np.random.default_rng(seed)
 
     def shaken(run: Run, now: Motion) -> None:
