@@ -6,6 +6,7 @@ import inspect
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -125,8 +126,10 @@ def test_a_diagnosis_is_that_of_the_command(
 
 
 @pytest.fixture(scope="module")
-def plan(campaign: calib.Campaign) -> calib.Plan:
-    return calib.plan(campaign, most=2)
+def plan(campaign: calib.Campaign, diagnosing: Callable[..., object]) -> calib.Plan:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.gap.diagnose.diagnose_in_full", diagnosing)
+        return calib.plan(campaign, most=2)
 
 
 def test_a_plan_names_runs_with_their_reasons(plan: calib.Plan) -> None:

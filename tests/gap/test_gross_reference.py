@@ -66,7 +66,7 @@ def test_a_reference_in_other_units_gets_no_cause(
     mistake: Callable[[Columns], Columns], hint: str, project_root: Path
 ) -> None:
     """Headings in degrees leave no noise that the rest could be held against."""
-    verdict = diagnose_in_full(struck(project_root, mistake, every=10), plan=False)
+    verdict = diagnose_in_full(struck(project_root, mistake, every=7), plan=False)
     assert verdict.kind in {VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
     assert verdict.causes == ()
     assert verdict.sentence.startswith("Correct this first: ")

@@ -215,14 +215,14 @@ def test_a_large_cause_keeps_its_probability_beside_a_rest() -> None:
 
 
 def gained(run: Run, now: Motion) -> None:
-    now.left = -2e-2 * (run.speed_mps - 0.3)
+    now.left = -6e-3 * (run.speed_mps - 0.3)
 
 
 def test_a_sign_that_cannot_be_is_left_out() -> None:
     """Counts are lost, never gained: a left wheel that loses with speed is found, one that gains is something else."""
 
     def lost(run: Run, now: Motion) -> None:
-        now.left = 2e-2 * (run.speed_mps - 0.3)
+        now.left = 6e-3 * (run.speed_mps - 0.3)
 
     assert searched(lost).inclusion()["lost_counts"] > 0.3
     found = searched(gained)
