@@ -127,7 +127,7 @@ def estimating() -> Callable[..., Geometry]:
     made: dict[str, Geometry | CalibError] = {}
 
     def estimated(campaign: Campaign, *, progress: object = None, **options: Any) -> Geometry:
-        key = repr((_digest(campaign), {name: value for name, value in options.items() if value is not None}))
+        key = repr((_digest(campaign), {name: value for name, value in options.items() if value not in (None, ())}))
         if key not in made:
             try:
                 made[key] = estimate_geometry(campaign, **options)

@@ -6,6 +6,7 @@ import inspect
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -124,8 +125,14 @@ def test_a_diagnosis_is_that_of_the_command(
     assert list(diagnosis.table.get("parameter", [])) == parameters
 
 
-def test_a_plan_names_runs_with_their_reasons(campaign: calib.Campaign) -> None:
-    plan = calib.plan(campaign, most=2)
+@pytest.fixture(scope="module")
+def plan(campaign: calib.Campaign, diagnosing: Callable[..., object]) -> calib.Plan:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.gap.diagnose.diagnose_in_full", diagnosing)
+        return calib.plan(campaign, most=2)
+
+
+def test_a_plan_names_runs_with_their_reasons(plan: calib.Plan) -> None:
     # two, and the unladen run of their session
     assert 1 <= len(plan.runs) <= 2 + 1 and all(run.why for run in plan.runs)
     assert plan.plot().axes
@@ -133,10 +140,11 @@ def test_a_plan_names_runs_with_their_reasons(campaign: calib.Campaign) -> None:
     assert plan.diagnosis.to_dict()["verdict"] in plan.to_dict()["verdict"]
 
 
-def test_a_plan_promises_what_the_command_does(campaign: calib.Campaign, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_promises_what_the_command_does(
+    plan: calib.Plan, campaign: calib.Campaign, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The intervals of the geometry are in the JSON of both, and in the summary."""
-    plan = calib.plan(campaign)
-    printed = commanded(capsys, "plan", str(campaign.root))
+    printed = commanded(capsys, "plan", str(campaign.root), "--most", "2")
     assert printed == json.loads(json.dumps(plan.to_dict()))
     assert plan.now is not None and "track_m" in printed["geometry"]["now"]["parameters"]
     assert "track_m" in plan.summary() and "Half widths" in plan.summary()

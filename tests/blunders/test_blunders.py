@@ -8,16 +8,15 @@ import pytest
 
 from tests.blunders.table import Outcome, rows
 
-#: one of each family, but for half a track (`tests.kinematics.test_estimate`) and a steering's play
-#: (`tests.kinematics.test_departures`); the table has all of them, along the path as well
+#: one of each family, but for half a track (`tests.kinematics.test_estimate`), a steering's play and counters that wrap
+#: (`tests.kinematics.test_departures`), and a vehicle that strafes (`tests.kinematics.test_adequacy`); the table has
+#: all of them, along the path as well
 NAMES = (
     "axes turned by 10 degrees",
     "positions in millimetres",
     "wheel angles in radians read as counts",
-    "absolute encoder, not unwrapped",
     "heading off by a turn in one run",
     "heading zero throughout",
-    "a robot that strafes",
     "steering in degrees",
     "counters reset halfway",
     "a tenth of the counts lost",

@@ -101,19 +101,25 @@ def test_a_table_of_a_dataset_has_the_figures_that_fit_gives(tmp_path: Path) -> 
         assert _figures(value, side) == pytest.approx(_of_fit(fit, side), rel=1e-8)
 
 
-def test_workers_and_order_change_nothing(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def alone(small: tuple[Path, FleetTruth], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Fleet]:
+    """The fleet fitted by one process, and the folder of its sums; nobody changes either."""
+    folder = tmp_path_factory.mktemp("alone") / "out"
+    return folder, fit_fleet(small[0], folder)
+
+
+def test_workers_and_order_change_nothing(
+    small: tuple[Path, FleetTruth], alone: tuple[Path, Fleet], tmp_path: Path
+) -> None:
     """The same bytes from one process and from two, in the result and in the kept sums."""
-    alone = fit_fleet(small[0], tmp_path / "one")
-    shared = fit_fleet(small[0], tmp_path / "two", workers=2)
-    assert _bytes(alone) == _bytes(shared)
-    assert (tmp_path / "one" / SUMS).read_bytes() == (tmp_path / "two" / SUMS).read_bytes()
+    assert _bytes(fit_fleet(small[0], tmp_path / "two", workers=2)) == _bytes(alone[1])
+    assert (tmp_path / "two" / SUMS).read_bytes() == (alone[0] / SUMS).read_bytes()
 
 
 def test_partitions_shuffled_give_the_same_bytes(
-    small: tuple[Path, FleetTruth], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    small: tuple[Path, FleetTruth], alone: tuple[Path, Fleet], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Files handed out in any order: result and kept sums are those of the order of names."""
-    straight = fit_fleet(small[0], tmp_path / "straight")
 
     class Shuffled:
         """Hands items out in a drawn order."""
@@ -123,14 +129,16 @@ def test_partitions_shuffled_give_the_same_bytes(
             return Engine().run(task, [items[k] for k in order], given_up)
 
     monkeypatch.setattr(run, "engine", lambda *_: nullcontext(Shuffled()))
-    assert _bytes(fit_fleet(small[0], tmp_path / "shuffled")) == _bytes(straight)
-    assert (tmp_path / "shuffled" / SUMS).read_bytes() == (tmp_path / "straight" / SUMS).read_bytes()
+    assert _bytes(fit_fleet(small[0], tmp_path / "shuffled")) == _bytes(alone[1])
+    assert (tmp_path / "shuffled" / SUMS).read_bytes() == (alone[0] / SUMS).read_bytes()
 
 
-def test_an_interrupted_run_goes_on_where_it_was(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+def test_an_interrupted_run_goes_on_where_it_was(
+    small: tuple[Path, FleetTruth], alone: tuple[Path, Fleet], tmp_path: Path
+) -> None:
     """Half of the kept lines, the last one cut short: the rest is read, and the result is the same."""
-    whole = fit_fleet(small[0], tmp_path / "out")
-    sums = tmp_path / "out" / SUMS
+    whole = alone[1]
+    sums = shutil.copytree(alone[0], tmp_path / "out") / SUMS
     data = sums.read_bytes()
     sums.write_bytes(data[: len(data) // 2])
     again = fit_fleet(small[0], tmp_path / "out")
@@ -140,7 +148,7 @@ def test_an_interrupted_run_goes_on_where_it_was(small: tuple[Path, FleetTruth],
     assert sums.read_bytes() == data
 
 
-def test_new_journeys_alone_are_read(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+def test_new_journeys_alone_are_read(small: tuple[Path, FleetTruth], alone: tuple[Path, Fleet], tmp_path: Path) -> None:
     """A month that comes adds its sums; nothing else is read again, and the result is that of all months at once."""
     folder = tmp_path / "fleet"
     shutil.copytree(small[0], folder)
@@ -152,7 +160,7 @@ def test_new_journeys_alone_are_read(small: tuple[Path, FleetTruth], tmp_path: P
         shutil.move(tmp_path / f"{month.parent.name}-later", month)
     grown = fit_fleet(folder, tmp_path / "out")
     assert (grown.n_read, grown.n_kept) == (len(last), len(last))
-    assert _bytes(grown) == _bytes(fit_fleet(folder, tmp_path / "fresh"))
+    assert _bytes(grown) == _bytes(alone[1])
 
 
 def test_a_fleet_is_made_in_a_folder_whose_name_is_no_utf_8(tmp_path: Path) -> None:
@@ -201,10 +209,9 @@ def test_a_law_that_fit_calls_doubtful_is_named_and_a_file_that_is_not_there(tmp
     assert "bent: left wheel" in shown
 
 
-def test_the_result_names_what_was_planted(small: tuple[Path, FleetTruth], tmp_path: Path) -> None:
+def test_the_result_names_what_was_planted(small: tuple[Path, FleetTruth], alone: tuple[Path, Fleet]) -> None:
     """All four odd vehicles, and nobody else."""
-    fleet = fit_fleet(small[0], tmp_path / "out")
-    assert {outlier.vehicle for outlier in fleet.view.outliers} == set(small[1].outliers)
+    assert {outlier.vehicle for outlier in alone[1].view.outliers} == set(small[1].outliers)
 
 
 def _dies_at_seven(batch: list[int]) -> list[int]:
@@ -236,9 +243,10 @@ def scheduler() -> Iterator[str]:
         yield cluster.scheduler_address
 
 
-def test_a_dask_scheduler_gives_the_same_bytes(small: tuple[Path, FleetTruth], tmp_path: Path, scheduler: str) -> None:
-    through = fit_fleet(small[0], tmp_path / "dask", scheduler=scheduler)
-    assert _bytes(through) == _bytes(fit_fleet(small[0], tmp_path / "alone"))
+def test_a_dask_scheduler_gives_the_same_bytes(
+    small: tuple[Path, FleetTruth], alone: tuple[Path, Fleet], tmp_path: Path, scheduler: str
+) -> None:
+    assert _bytes(fit_fleet(small[0], tmp_path / "dask", scheduler=scheduler)) == _bytes(alone[1])
 
 
 def test_a_dask_worker_that_dies_costs_its_own_task_only(scheduler: str) -> None:

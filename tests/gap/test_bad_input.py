@@ -94,19 +94,19 @@ def test_any_part_of_a_campaign_gets_a_verdict_or_one_line(campaign: Campaign) -
 def test_without_any_reference_it_is_refused_and_says_what_to_measure() -> None:
     measured = {"distance_m", "ref_x_m", "ref_y_m", "ref_theta_rad"}
     with pytest.raises(RefusedError, match="distance_m or ref_x_m"):
-        diagnose_in_full(without(driven(2), measured, set(), set()))
+        diagnose_in_full(without(driven(2), measured, set(), set()), plan=False)
 
 
 def test_without_counts_it_is_refused() -> None:
     counts = {"counts_left", "counts_right", "counts_front"}
     with pytest.raises(RefusedError, match="encoder counts"):
-        diagnose_in_full(without(driven(0), counts, set(), counts))
+        diagnose_in_full(without(driven(0), counts, set(), counts), plan=False)
 
 
 @pytest.mark.parametrize("count", [1, 3])
 def test_very_few_runs_name_no_cause_but_a_recalibration(count: int) -> None:
     """The load law is at work, which runs under one load cannot tell from radii that are off."""
-    verdict = diagnose_in_full(driven(1).select(np.arange(count)))
+    verdict = diagnose_in_full(driven(1).select(np.arange(count)), plan=False)
     if verdict.kind is VerdictKind.EXPLAINED:
         assert {cause.effect for cause in verdict.causes} <= set(NAMES)
 
@@ -116,7 +116,7 @@ def test_one_load_never_names_the_load() -> None:
     campaign = driven(1)
     same = campaign.select(campaign.runs.number("payload_kg") == 0.0)
     assert len(same.runs) >= 3
-    verdict = diagnose_in_full(same)
+    verdict = diagnose_in_full(same, plan=False)
     assert "load_radius" not in {cause.effect for cause in verdict.causes}
 
 
@@ -140,7 +140,7 @@ def test_sizes_of_data_that_cannot_be_are_not_recommended() -> None:
         name: column / 9.80665 if name.startswith("load_") else column for name, column in sound.runs.numbers.items()
     }
     spoilt = replace(sound, runs=replace(sound.runs, numbers=numbers))
-    verdict = diagnose_in_full(spoilt)
+    verdict = diagnose_in_full(spoilt, plan=False)
     assert verdict.causes
     assert verdict.correct_first
     assert not verdict.recommended
@@ -158,8 +158,8 @@ def test_sizes_beside_loads_that_contradict_payloads_in_some_runs_are_not_recomm
         name: np.where(spoilt_rows, column / 9.80665, column) if name.startswith("load_") else column
         for name, column in sound.runs.numbers.items()
     }
-    verdict = diagnose_in_full(replace(sound, runs=replace(sound.runs, numbers=numbers)))
+    verdict = diagnose_in_full(replace(sound, runs=replace(sound.runs, numbers=numbers)), plan=False)
     assert any("load" in cause.effect for cause in verdict.causes)
     assert "vehicle and payload ask for other loads" in verdict.correct_first[0]
     assert not verdict.recommended
-    assert not diagnose_in_full(sound).correct_first
+    assert not diagnose_in_full(sound, plan=False).correct_first

@@ -64,7 +64,7 @@ def bent(exponent: float, seed: int) -> Campaign:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_bend_is_named_beside_the_line_that_the_model_has(diagnosing: Diagnosing, seed: int) -> None:
     """Line and curve, large and opposite, are one law: it is named and its correction recommended."""
-    found = diagnosing(bent(0.5, seed))
+    found = diagnosing(bent(0.5, seed), plan=False)
     assert {cause.effect for cause in found.causes} >= {"load_radius_nonlinear"}
     assert {cause.effect for cause in found.causes} <= {"load_radius_nonlinear", "load_radius", "radius_scale"}
     assert found.kind is VerdictKind.EXPLAINED and found.recommended
@@ -74,7 +74,7 @@ def test_a_bend_is_named_beside_the_line_that_the_model_has(diagnosing: Diagnosi
 
 
 def test_a_line_beside_a_line_is_no_gap(diagnosing: Diagnosing) -> None:
-    assert diagnosing(bent(1.0, 1)).kind is VerdictKind.NO_GAP
+    assert diagnosing(bent(1.0, 1), plan=False).kind is VerdictKind.NO_GAP
 
 
 def test_no_part_of_a_fix_is_recommended_beside_a_gap_that_may_be_none(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -66,7 +66,7 @@ def test_a_reference_in_other_units_gets_no_cause(
     mistake: Callable[[Columns], Columns], hint: str, project_root: Path
 ) -> None:
     """Headings in degrees leave no noise that the rest could be held against."""
-    verdict = diagnose_in_full(struck(project_root, mistake), plan=False)
+    verdict = diagnose_in_full(struck(project_root, mistake, every=7), plan=False)
     assert verdict.kind in {VerdictKind.UNKNOWN, VerdictKind.UNDECIDED}
     assert verdict.causes == ()
     assert verdict.sentence.startswith("Correct this first: ")
@@ -109,7 +109,7 @@ def test_axes_are_found_beside_a_model_that_has_effects(project_root: Path) -> N
 
 def test_a_mirrored_reference_may_be_swapped_wheels_and_is_said_to_be(project_root: Path) -> None:
     """The two are the same to any data of two wheels: the advice names both."""
-    both = struck(project_root, lambda columns: {**mirrored(columns), **clockwise(columns)}, every=2)
+    both = struck(project_root, lambda columns: {**mirrored(columns), **clockwise(columns)}, every=6)
     cause = diagnose_in_full(both, plan=False).causes[0]
     assert (cause.effect, cause.form) == ("encoder_gross", "swapped wheels")
     assert "y to the left" in cause.remark

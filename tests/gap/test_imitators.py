@@ -71,7 +71,7 @@ def test_a_load_law_that_the_model_lacks_is_no_misreported_payload(
     So would one three quarters of a metre from where it stands, where the model has half of the slope.
     """
     model = replace(MODEL, slope_left_m_per_N=known_m_per_N, slope_right_m_per_N=known_m_per_N)
-    verdict = diagnosing(campaign(loaded(), model=model, truth=noisy(of_load, 1), vehicle=DIFFERENTIAL))
+    verdict = diagnosing(campaign(loaded(), model=model, truth=noisy(of_load, 1), vehicle=DIFFERENTIAL), plan=False)
     assert [cause.effect for cause in verdict.causes] == ["load_radius"]
     assert verdict.kind is VerdictKind.EXPLAINED and verdict.recommended
     for quantity in verdict.causes[0].parameters.values():
@@ -85,7 +85,7 @@ def test_what_repeats_do_not_explain_is_left_unexplained(diagnosing: Diagnosing)
         now.left = now.right = 1e-5 * (run.load_left_N - 300.0) * (run.speed_mps - 0.6)
 
     runs = [replace(run, speed_mps=0.8 if number // 9 % 2 else 0.4) for number, run in enumerate(loaded(36))]
-    verdict = diagnosing(campaign(runs, truth=noisy(of_load_and_speed, 1), vehicle=DIFFERENTIAL))
+    verdict = diagnosing(campaign(runs, truth=noisy(of_load_and_speed, 1), vehicle=DIFFERENTIAL), plan=False)
     assert verdict.unexplained is not None and verdict.unexplained.share > 0.2
     assert all(cause.probability <= 0.5 for cause in verdict.causes) and not verdict.recommended
 
@@ -109,7 +109,7 @@ def slipping(run: Run, now: Motion) -> None:
 
 
 def test_slip_in_hard_accelerations_is_no_late_reference(diagnosing: Diagnosing) -> None:
-    verdict = diagnosing(campaign(driven_hard(), truth=noisy(slipping, 2), vehicle=DIFFERENTIAL))
+    verdict = diagnosing(campaign(driven_hard(), truth=noisy(slipping, 2), vehicle=DIFFERENTIAL), plan=False)
     assert [cause.effect for cause in verdict.causes] == ["wheel_slip"]
 
 
@@ -125,14 +125,14 @@ def in_corridor(speeds: tuple[float, ...]) -> Campaign:
 
 
 def test_a_wrong_datum_is_named_where_several_speeds_tell_it_from_a_late_reading(diagnosing: Diagnosing) -> None:
-    verdict = diagnosing(in_corridor((0.4, 0.8)))
+    verdict = diagnosing(in_corridor((0.4, 0.8)), plan=False)
     assert [cause.effect for cause in verdict.causes] == ["rangefinder_offset"]
     assert verdict.kind is VerdictKind.EXPLAINED
 
 
 def test_a_wrong_datum_is_left_open_at_one_speed(diagnosing: Diagnosing) -> None:
     """At one speed an offset and a delay are the same column."""
-    verdict = diagnosing(in_corridor((0.5,)))
+    verdict = diagnosing(in_corridor((0.5,)), plan=False)
     assert verdict.kind is VerdictKind.AMBIGUOUS
     assert {"rangefinder_offset", "reference_latency"} <= {name for group in verdict.groups for name in group.effects}
 
@@ -164,7 +164,7 @@ def winding(n_runs: int = 18) -> list[Run]:
 @pytest.mark.parametrize("lag_s", [0.2, 0.4])
 def test_a_wheel_that_follows_late_is_a_delay_at_its_size(diagnosing: Diagnosing, lag_s: float) -> None:
     """The logged angle is ahead of the wheel: a delay below 0, of the lag's size within a tenth of it."""
-    verdict = diagnosing(campaign(winding(), truth=noisy(steered(lag_s), 4)))
+    verdict = diagnosing(campaign(winding(), truth=noisy(steered(lag_s), 4)), plan=False)
     delay = {cause.effect: cause for cause in verdict.causes}["steering_delay"].parameters["delay"]
     assert delay.value == pytest.approx(-lag_s, rel=0.1)
 
@@ -177,7 +177,7 @@ def test_a_zero_that_is_set_anew_each_day_is_named_and_not_recommended(diagnosin
         now.steer_error_rad = np.full(len(now.ds_m), zeros[run.session])
 
     runs = [replace(run, session=f"s{1 + number // 6}") for number, run in enumerate(winding())]
-    verdict = diagnosing(campaign(runs, truth=noisy(homed, 7)))
+    verdict = diagnosing(campaign(runs, truth=noisy(homed, 7)), plan=False)
     step = {cause.effect: cause for cause in verdict.causes}["steering_zero_step"].parameters
     assert step["zero_s2"].value == pytest.approx(8e-3, rel=0.1)
     assert step["zero_s3"].value == pytest.approx(-4e-3, rel=0.1)
@@ -186,7 +186,7 @@ def test_a_zero_that_is_set_anew_each_day_is_named_and_not_recommended(diagnosin
 
 def test_what_is_left_beyond_two_noise_levels_is_said(diagnosing: Diagnosing) -> None:
     """A linkage that is no straight line: its scale explains most of the gap, not what is left."""
-    verdict = diagnosing(campaign(winding(), truth=noisy(steered(0.0, cubic=0.6), 5)))
+    verdict = diagnosing(campaign(winding(), truth=noisy(steered(0.0, cubic=0.6), 5)), plan=False)
     assert verdict.closure.largest_residual > 2.0
     assert verdict.kind is not VerdictKind.EXPLAINED
 
@@ -205,7 +205,7 @@ def narrow(run: Run, now: Motion) -> None:
 def test_runs_whose_counter_stood_still_are_omitted_and_said(diagnosing: Diagnosing) -> None:
     """Two of 24 runs end off by half of their length and more, all others by some per cent."""
     runs = [replace(run, speed_mps=STOPPED_MPS) if number in (4, 15) else run for number, run in enumerate(loaded())]
-    verdict = diagnosing(campaign(runs, truth=noisy(narrow, 6), vehicle=DIFFERENTIAL))
+    verdict = diagnosing(campaign(runs, truth=noisy(narrow, 6), vehicle=DIFFERENTIAL), plan=False)
     assert "track_width" in {cause.effect for cause in verdict.causes} and verdict.recommended
     assert "Omitted" in verdict.sentence and "r004" in verdict.sentence and "r015" in verdict.sentence
     assert "r005" not in verdict.sentence
@@ -215,7 +215,7 @@ def test_a_route_of_which_every_run_ends_far_off_is_not_omitted(diagnosing: Diag
     """Two squares among 22 straights, counted with a track half as wide: the track is wrong, not the runs."""
     runs = [Run(STRAIGHT, front=False)] * 22 + [Run(SQUARE, kind="square_ccw", front=False)] * 2
     made = campaign(runs, truth=noisy(lambda _, now: setattr(now, "track", 0.5), 8), vehicle=DIFFERENTIAL)
-    assert "Omitted" not in diagnosing(made).sentence
+    assert "Omitted" not in diagnosing(made, plan=False).sentence
 
 
 def test_laps_that_a_wrong_track_does_not_close_are_not_omitted(diagnosing: Diagnosing) -> None:
@@ -223,7 +223,7 @@ def test_laps_that_a_wrong_track_does_not_close_are_not_omitted(diagnosing: Diag
     lap = [(4.5, 0.0), (0.5 * np.pi * 0.5, 2.0)] * 4
     runs = [Run(lap if number % 4 == 0 else STRAIGHT, kind="", front=False) for number in range(24)]
     verdict = diagnosing(
-        campaign(runs, truth=noisy(lambda _, now: setattr(now, "track", 3e-2), 9), vehicle=DIFFERENTIAL)
+        campaign(runs, truth=noisy(lambda _, now: setattr(now, "track", 3e-2), 9), vehicle=DIFFERENTIAL), plan=False
     )
     assert "Omitted" not in verdict.sentence
     assert "track_width" in {cause.effect for cause in verdict.causes}
@@ -238,7 +238,7 @@ def test_a_fix_is_judged_without_what_it_does_not_hold(diagnosing: Diagnosing) -
     """A load law beside slip is judged by what the law alone closes, not by what both do; both together are a fix."""
     loads = [(300.0, 500.0, 700.0)[(number + number // 3) % 3] for number in range(24)]
     runs = [replace(run, load_left_N=load, load_right_N=load) for run, load in zip(driven_hard(), loads, strict=True)]
-    verdict = diagnosing(campaign(runs, truth=noisy(loaded_and_slipping, 10), vehicle=DIFFERENTIAL))
+    verdict = diagnosing(campaign(runs, truth=noisy(loaded_and_slipping, 10), vehicle=DIFFERENTIAL), plan=False)
     assert {cause.effect for cause in verdict.causes} == {"load_radius", "wheel_slip"} and verdict.recommended
     evidence, law = verdict.evidence, [cause for cause in verdict.causes if cause.effect == "load_radius"]
     assert evidence is not None
@@ -265,7 +265,7 @@ def test_scrub_on_the_spot_is_no_track_with_a_load_that_moves(diagnosing: Diagno
     sharp = [*[(2.0, 0.0), *CORNER] * 4]
     routes = [(sharp, "sharp_ccw"), (turned(sharp), "sharp_cw"), (ROUTE, "bend_left"), (turned(ROUTE), "bend_right")]
     runs = [Run(pieces, kind=kind, front=False) for pieces, kind in routes * 6]
-    verdict = diagnosing(campaign(runs, truth=noisy(scrubbing, 11), vehicle=DIFFERENTIAL))
+    verdict = diagnosing(campaign(runs, truth=noisy(scrubbing, 11), vehicle=DIFFERENTIAL), plan=False)
     assert [(cause.effect, cause.form) for cause in verdict.causes] == [("curve_scrub", "on the spot")]
     assert verdict.recommended
 
@@ -329,7 +329,7 @@ def stretched(share: float, seed: int, *, track: float = 0.0) -> Truth:
 
 def test_a_reference_of_wrong_scale_is_not_three_causes_of_one_size(diagnosing: Diagnosing) -> None:
     """Radii, track and rangefinder off by the same share would leave as little."""
-    verdict = diagnosing(campaign(loaded(), truth=stretched(5e-3, 12), vehicle=DIFFERENTIAL))
+    verdict = diagnosing(campaign(loaded(), truth=stretched(5e-3, 12), vehicle=DIFFERENTIAL), plan=False)
     assert [cause.effect for cause in verdict.causes] == ["reference_scale"]
     assert not verdict.correction.calibration.any()
 
@@ -374,7 +374,10 @@ def test_laps_in_one_sense_without_an_effect_raise_no_alarm(diagnosing: Diagnosi
         return both
 
     runs = [Run(lap, kind="lap", front=False) for _ in range(n_runs)]
-    found = [diagnosing(campaign(runs, truth=scattering(seed), vehicle=DIFFERENTIAL)) for seed in (20, 21, 22, 23)]
+    found = [
+        diagnosing(campaign(runs, truth=scattering(seed), vehicle=DIFFERENTIAL), plan=False)
+        for seed in (20, 21, 22, 23)
+    ]
     assert sum(verdict.kind is VerdictKind.NO_GAP for verdict in found) >= 3
     assert all(verdict.gap_probability < 0.5 and not verdict.causes for verdict in found)
 
@@ -390,7 +393,7 @@ def test_a_route_whose_every_run_stands_off_is_a_gap(diagnosing: Diagnosing) -> 
         now.lateral_m = np.full(len(now.ds_m), 0.2 / len(now.ds_m)) if run.kind == "lane_change" else 0.0
 
     runs = [Run(pieces, kind=kind, front=False) for pieces, kind in routes * 3]
-    verdict = diagnosing(campaign(runs, truth=noisy(kicked, 13), vehicle=DIFFERENTIAL))
+    verdict = diagnosing(campaign(runs, truth=noisy(kicked, 13), vehicle=DIFFERENTIAL), plan=False)
     assert verdict.kind is not VerdictKind.NO_GAP
     assert not verdict.recommended
 
@@ -403,5 +406,5 @@ def test_a_zero_that_drifts_all_day_is_no_constant_one(diagnosing: Diagnosing) -
         now.steer_error_rad = 10e-3 * next(number) / 23
 
     runs = [replace(run, session="s1") for run in winding(24)]
-    verdict = diagnosing(campaign(runs, truth=noisy(drifting, 14)))
+    verdict = diagnosing(campaign(runs, truth=noisy(drifting, 14)), plan=False)
     assert not verdict.recommended

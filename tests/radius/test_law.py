@@ -38,10 +38,10 @@ def test_the_curve_stays_between_the_pooled_and_the_wider_t() -> None:
 
 @pytest.mark.parametrize("name", ["confounded+", "crossed"])
 def test_intervals_of_whole_campaigns_hold_the_truth(name: str) -> None:
-    """150 campaigns of two wheels; `python -m tests.radius.coverage` does 2,000, and the other designs."""
-    shares = coverage(DESIGNS[name], 150, seed=7)
-    # standard error 1.26 % of 300 intervals; three of them
-    np.testing.assert_allclose(shares[:2], 0.95, atol=0.038)
+    """100 campaigns of two wheels; `python -m tests.radius.coverage` does 2,000, and the other designs."""
+    shares = coverage(DESIGNS[name], 100, seed=7)
+    # standard error 1.54 % of 200 intervals; three of them
+    np.testing.assert_allclose(shares[:2], 0.95, atol=0.046)
 
 
 def test_counting_runs_as_independent_claims_too_much_where_sessions_scatter() -> None:

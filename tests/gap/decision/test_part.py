@@ -16,7 +16,7 @@ from calib.gap.apply import applied_model
 from calib.gap.decision import part
 from calib.gap.decision.causes import Finding, negligible
 from calib.gap.decision.constancy import SizeDifference
-from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Fix, Quantity, Unexplained
 from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.part import _parted, is_named_beside, sure_part
@@ -36,6 +36,14 @@ LEFT = Unexplained(share=0.2, signal=20.0, where=())
 def recording(shared_data: Path) -> tuple[Campaign, dict[str, Any]]:
     """A real recording judged against radii and track fitted to it, and its verdict; nobody changes either."""
     return calibrated(recordings.optiodom_differential(shared_data))[:2]
+
+
+@pytest.fixture(scope="module")
+def armed(tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    """Of runs whose sensor stands 5 cm from where it is said to be; nobody changes it."""
+    folder = tmp_path_factory.mktemp("armed") / "c"
+    made = workshop.write(folder, "mixed", {"reference_lever_arm": 5e-2}, np.random.default_rng(4))
+    return diagnose_in_full(read_campaign(made), plan=False)
 
 
 def cause(name: str, low: float = 1.0, signal: float = 60.0, share: float = 0.5) -> Cause:
@@ -179,34 +187,26 @@ def test_a_step_of_each_session_stays_named_beside_the_fix_of_another_cause() ->
     assert is_named_beside(cause("session_step"), fix, Finding((), {"session_step": 0.7}))
 
 
-def test_a_fix_that_only_the_recalibration_keeps_back_is_judged_as_it_is_delivered(tmp_path: Path) -> None:
+def test_a_fix_that_only_the_recalibration_keeps_back_is_judged_as_it_is_delivered(armed: Diagnosis) -> None:
     """Radii and track are no part of a fix that names neither: what they do to a route held out is no reason."""
-    campaign = read_campaign(
-        workshop.write(tmp_path / "c", "mixed", {"reference_lever_arm": 5e-2}, np.random.default_rng(4))
-    )
-    diagnosis = diagnose_in_full(campaign, plan=False)
-    (arm,) = diagnosis.causes
-    kept_back = replace(diagnosis.fix, recommended=False, corrects=None, why=("a route held out gets worse",))
-    assert diagnosis.evidence is not None
-    fix = sure_part(diagnosis.evidence, Finding([arm], {arm.effect: arm.probability}), kept_back)
+    (arm,) = armed.causes
+    kept_back = replace(armed.fix, recommended=False, corrects=None, why=("a route held out gets worse",))
+    assert armed.evidence is not None
+    fix = sure_part(armed.evidence, Finding([arm], {arm.effect: arm.probability}), kept_back)
     assert fix.recommended and fix.corrects == (arm.effect,) and fix.why == () and fix.leaves == ()
 
 
 @pytest.mark.parametrize("off", [0.0, 5e-3], ids=["at zero", "off"])
 def test_radii_and_track_that_move_by_nothing_beyond_noise_keep_no_fix_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, off: float
+    armed: Diagnosis, monkeypatch: pytest.MonkeyPatch, off: float
 ) -> None:
     """A part of the gap that is left without them is theirs only where they are not zero."""
-    campaign = read_campaign(
-        workshop.write(tmp_path / "c", "mixed", {"reference_lever_arm": 5e-2}, np.random.default_rng(4))
-    )
-    diagnosis = diagnose_in_full(campaign, plan=False)
-    evidence = diagnosis.evidence
-    assert evidence is not None and diagnosis.recommended
+    evidence = armed.evidence
+    assert evidence is not None and armed.recommended
     fitted = replace(evidence.fitted, calibration=evidence.fitted.calibration + off * np.array([1.0, 1.0, 0.0, 0.0]))
     evidence = replace(evidence, search=replace(evidence.search, fitted=fitted))
     monkeypatch.setattr(part.rule, "remaining", lambda *_: iter(["a part is left"]))
-    (arm,) = diagnosis.causes
+    (arm,) = armed.causes
     whole = Fix(recommended=True)
     assert part.as_delivered(evidence, Finding([arm], {arm.effect: 1.0}), whole).recommended is (off == 0.0)
 

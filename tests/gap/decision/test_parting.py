@@ -68,7 +68,7 @@ def test_a_temperature_that_varies_otherwise_than_the_sessions_is_named(
     diagnosing: Diagnosing, temperatures_C: tuple[tuple[float, float], ...]
 ) -> None:
     """Within the sessions, or up and down: steps of the sessions follow that too, at odds that say no."""
-    verdict = diagnosing(campaign(at(temperatures_C), truth=noisy(warmed, 2)))
+    verdict = diagnosing(campaign(at(temperatures_C), truth=noisy(warmed, 2)), plan=False)
     assert verdict.kind is VerdictKind.EXPLAINED and verdict.recommended
     assert [cause.effect for cause in verdict.causes] == ["temperature_radius"]
 
@@ -95,7 +95,9 @@ def test_a_direction_with_a_speed_of_its_own_is_not_told_from_the_speed(diagnosi
 
 
 def test_a_direction_at_both_speeds_is_told_from_the_speed(diagnosing: Diagnosing) -> None:
-    verdict = diagnosing(campaign(both_ways({"out": (0.3, 0.6), "back": (0.3, 0.6)}), truth=noisy(by_direction, 3)))
+    verdict = diagnosing(
+        campaign(both_ways({"out": (0.3, 0.6), "back": (0.3, 0.6)}), truth=noisy(by_direction, 3)), plan=False
+    )
     assert "speed_radius" not in {name for group in verdict.groups for name in group.effects}
     assert verdict.recommended
 

@@ -30,7 +30,7 @@ def recorded(truth: Truth) -> Campaign:
         along=True,
         walk=1e-3,
         duration_s=60.0,
-        samples=1200,
+        samples=600,
         nominal=nominal,
     )
     x_m, y_m = truth.sensor[:2]

@@ -97,7 +97,7 @@ def test_a_car_rolls_by_the_radii_of_its_model_and_not_by_the_nominal_one(share:
 def test_a_load_law_that_a_car_lacks_is_named_as_one_and_no_slip(tmp_path: Path) -> None:
     """The found mean slope is the truth's; the model that it is written into leaves no gap."""
     made = car("ackermann", (0.0, 0.0), (LAW, 3.0 * LAW))
-    diagnosis = diagnose_in_full(made)
+    diagnosis = diagnose_in_full(made, plan=False)
     assert {cause.effect for cause in diagnosis.causes} <= {"load_radius", "load_radius_nonlinear"}
     (slope,) = (cause.parameters["slope_mean"] for cause in diagnosis.causes[:1])
     # of loads that grow as 3 and 5
@@ -141,7 +141,7 @@ def test_a_radius_found_by_one_counter_is_in_the_applied_model(tmp_path: Path) -
     counts = 1.004 * COUNTS
     made = replace(made, encoder=Encoder(counts, counts, counts_per_rev_front=counts))
     path = tmp_path / "model.json"
-    write_bytes(path, applied_model(diagnose_in_full(made), made).to_bytes(), force=False)
+    write_bytes(path, applied_model(diagnose_in_full(made, plan=False), made).to_bytes(), force=False)
     applied, _ = model_of(path, made)
     assert applied.front is not None
     # the interval of the share found

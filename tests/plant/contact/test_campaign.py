@@ -64,8 +64,15 @@ def test_what_is_wrong_shows_with_the_sign_of_its_cause(variant: str, sign: floa
     assert np.all(sign * shown > 4e-3)
 
 
-def test_a_campaign_reads_back_as_written_and_says_that_it_is_simulated(tmp_path: Path, sound: Baseline) -> None:
-    campaign = _campaign("none", sound)
+@pytest.fixture(scope="module")
+def nothing_wrong(sound: Baseline) -> Campaign:
+    return _campaign("none", sound)
+
+
+def test_a_campaign_reads_back_as_written_and_says_that_it_is_simulated(
+    tmp_path: Path, nothing_wrong: Campaign
+) -> None:
+    campaign = nothing_wrong
     write_campaign(campaign, tmp_path / "c")
     back = read_campaign(tmp_path / "c")
     assert back.simulated
@@ -75,10 +82,10 @@ def test_a_campaign_reads_back_as_written_and_says_that_it_is_simulated(tmp_path
     assert [note for note in back.notes if note.level == "wrong"] == []
 
 
-def test_no_file_names_the_variant(tmp_path: Path, sound: Baseline) -> None:
+def test_no_file_names_the_variant(tmp_path: Path, nothing_wrong: Campaign, sound: Baseline) -> None:
     """Same columns and settings with and without an effect; only numbers differ."""
-    for variant in ("none", "slippery_zone"):
-        write_campaign(_campaign(variant, sound), tmp_path / variant)
+    write_campaign(nothing_wrong, tmp_path / "none")
+    write_campaign(_campaign("slippery_zone", sound), tmp_path / "slippery_zone")
     heads = [(tmp_path / variant / "runs.csv").read_text().splitlines()[0] for variant in ("none", "slippery_zone")]
     assert heads[0] == heads[1]
     settings = [(tmp_path / variant / "campaign.toml").read_text() for variant in ("none", "slippery_zone")]
