@@ -10,7 +10,7 @@ from calib.campaign.checks.design import LEAST_RUNS, SIDES, column_note, listed,
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import CLOSED, log_totals
 from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
 #: both radii further from nominal, alike to `ALIKE`, are a setting rather than two worn wheels
 FAR_FROM_NOMINAL: Final = 0.012
@@ -119,7 +119,8 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
     for _, runs in design.groups_of(campaign.runs.label("session")) if few else ():
         # a session off by no whole turns has another unit or sign, and no wrong cell
         for run in runs[odd[runs]] if np.isinf(turns[runs]).mean() <= MOST_ODD else ():
-            text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell"
+            text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell, or omit a "
+            text += "run that lost counts"
             yield design.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
 
 
@@ -132,26 +133,51 @@ _SENSES: Final = (
 )
 #: headings and counts are this far apart, and this share of it where it is made good
 _APART_RAD, _MADE_GOOD = 1.0, 0.1
+#: of one run, no more than radii and track are off by: else its log is another's
+_SINGLE_RAD: Final = 0.1
 
 
 def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     """Yield wheels that count backwards and headings in degrees, of all runs or a session, by how far these turn."""
-    turned = design.reference_turns(campaign)[0]
-    left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
-    known = np.isfinite(turned + left + right)
-    apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in _SENSES]
+    known, apart = _apart_rad(campaign)
     for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
-        if len(of := runs[known[runs]]) < LEAST_RUNS:
-            continue
-        found = [float(np.median(one[of])) for one in apart]
-        if found[0] > _APART_RAD and min(found) < _MADE_GOOD * found[0]:
-            words = _SENSES[int(np.argmin(found))][-1]
-            text = (
-                f"in {where} counts and headings are {found[0]:.3g} rad apart (median), or {min(found):.2g} if {words}"
-            )
+        if len(of := runs[known[runs]]) >= LEAST_RUNS and (words := _made_good(np.median(apart[:, of], axis=1))):
+            text = f"in {where} counts and headings are {words}"
             yield column_note("counts_left, counts_right, ref_theta_rad", text, "implausible", "wrong")
             if where == "all runs":
                 return
+
+
+def odd_runs(campaign: Campaign) -> Iterator[Note]:
+    """Find single runs of another sense or unit: by their headings, or ends farther away than was driven."""
+    known, apart = _apart_rad(campaign)
+    near = np.flatnonzero(known & (apart.min(axis=0) < _SINGLE_RAD))
+    told = {run: words for run in near.tolist() if (words := _made_good(apart[:, run]))}
+    for run, words in told.items() if len(told) <= MOST_ODD * known.sum() else ():
+        text = f"counts and heading are {words.partition(';')[0]}; correct the row"
+        yield design.cell_note(campaign, run, "counts_left, counts_right, ref_theta_rad", text, "odd_run")
+    rolled = np.mean([np.abs(design.rolled_m(campaign, side)) for side in SIDES], axis=0)
+    away = np.hypot(campaign.runs.number("ref_x_m"), campaign.runs.number("ref_y_m"))
+    # wheels half as large again, and a sensor on the vehicle's edge, make up for less
+    far = np.flatnonzero(away > 1.5 * rolled + 1.0) if campaign.reference.frame != "map" else ()
+    for run in far if len(far) <= MOST_ODD * np.isfinite(away + rolled).sum() else ():
+        text = f"""the run ends {few_digits(away[run])} m away after {few_digits(rolled[run])} m driven; is it in
+            another unit, or another run's?"""
+        yield design.cell_note(campaign, int(run), "ref_x_m, ref_y_m", text, "odd_run")
+
+
+def _apart_rad(campaign: Campaign) -> tuple[BoolArray, FloatArray]:
+    turned = design.reference_turns(campaign)[0]
+    left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
+    apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in _SENSES]
+    return np.isfinite(turned + left + right), np.array(apart)
+
+
+def _made_good(apart_rad: FloatArray) -> str:
+    best = int(np.argmin(apart_rad))
+    if apart_rad[0] <= _APART_RAD or apart_rad[best] >= _MADE_GOOD * apart_rad[0]:
+        return ""
+    return f"{apart_rad[0]:.3g} rad apart, or {apart_rad[best]:.2g} if {_SENSES[best][-1]}"
 
 
 def unused_slopes(campaign: Campaign) -> Iterator[Note]:
