@@ -14,12 +14,10 @@ from calib.campaign.read import read_campaign
 from calib.challenge.seal import each, read_public
 from calib.errors import CalibError
 from calib.io import inside, write_json
-from calib.types import FloatArray, Progress, silent
+from calib.types import Progress, silent
 
 if TYPE_CHECKING:
     from calib.gap.decision.diagnosis import Diagnosis
-    from calib.gap.effects.effect import Form
-    from calib.gap.observations.arrays import Observations
 
 
 #: see `achieved`
@@ -33,6 +31,9 @@ def achieved(diagnosis: "Diagnosis", fresh: Campaign, exclude: tuple[str, ...] =
     channels over their noise, ``fraction`` of whitened squares. None where the verdict names no cause, or a form of its
     causes cannot be had there.
     """
+    from calib.gap.decision.held_out import end_rms_m
+    from calib.gap.effects.effect import forms_on
+    from calib.gap.effects.library import library
     from calib.gap.inference.fit import hypothesis_path, whitened_rows
     from calib.gap.observations.from_campaign import observations_of
     from calib.gap.predict import predict, residuals
@@ -40,8 +41,9 @@ def achieved(diagnosis: "Diagnosis", fresh: Campaign, exclude: tuple[str, ...] =
     if not diagnosis.causes:
         return None
     there = observations_of(fresh)
-    forms = _forms_there(diagnosis, there, fresh, exclude)
-    if forms is None or len(there) != len(diagnosis.observations):
+    effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
+    forms = [form for form in forms_on(there, effects, diagnosis.correction.forms) if form is not None]
+    if len(forms) < len(diagnosis.correction.forms) or len(there) != len(diagnosis.observations):
         return None
     nominal = predict(there)
     fixed = hypothesis_path(there, diagnosis.correction.calibration, forms, diagnosis.correction.theta, nominal)
@@ -52,38 +54,12 @@ def achieved(diagnosis: "Diagnosis", fresh: Campaign, exclude: tuple[str, ...] =
     fraction = None if gap < 0.5 * floor else float(np.clip(1 - max(float(squares[1]) - floor, 0.0) / gap, -1.0, 1.0))
     norms = np.sqrt(squares / max(floor, 1.0))
     return {
-        "before_rms_m": _rms(there, before),
-        "after_rms_m": _rms(there, after),
+        "before_rms_m": end_rms_m(before, there),
+        "after_rms_m": end_rms_m(after, there),
         "before_over_floor": float(norms[0]),
         "after_over_floor": float(norms[1]),
         "fraction": fraction,
     }
-
-
-def _forms_there(
-    diagnosis: "Diagnosis", there: "Observations", fresh: Campaign, exclude: tuple[str, ...]
-) -> "tuple[Form, ...] | None":
-    from calib.gap.effects.library import library, matching_form
-
-    effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
-    matches = []
-    for wanted in diagnosis.correction.forms:
-        effect = effects.get(wanted.effect)
-        offered = [] if effect is None else effect.forms(there)
-        alike = [form for form in offered if len(form.parameters) == len(wanted.parameters)]
-        nearest = matching_form(alike, wanted.label, wanted.settings)
-        if nearest is None:
-            return None
-        matches.append(nearest.centred_at(wanted.centre))
-    return tuple(matches)
-
-
-def _rms(there: "Observations", values: FloatArray) -> float | None:
-    for channels in ([1, 2], [0]):
-        known = there.usable[:, channels].all(axis=1)
-        if known.any():
-            return float(np.sqrt(np.mean(np.sum(values[known][:, channels] ** 2, axis=1))))
-    return None
 
 
 #: campaign, seed, effects to leave out, fresh campaign -> verdict, and what its fix achieves there

@@ -375,6 +375,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
         "",
     ),
     ("log_clock", "clock_unit", "suspicious", _log("t_s", lambda t: np.multiply(t, 1000.0, out=t)), ""),
+    ("odd_runs", "odd_run", "suspicious", lambda m: number("ref_x_m", lambda x: 1e3 * x, 4)(wandering(m)), "r004"),
     ("heading_turns", "heading_turn", "suspicious", _heading_a_turn_off, "r004"),
     ("pose_resolution", "pose_resolution", "suspicious", _single_precision, ""),
     ("rounded_values", "rounded_values", "suspicious", number("distance_m", lambda d: np.round(d, 1)), ""),

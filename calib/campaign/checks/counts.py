@@ -306,8 +306,7 @@ def interrupted_counts(campaign: Campaign) -> Iterator[Note]:
         times, share = np.median([each for name in odd for each in stops[name]], axis=0)
         text = f"""the counts stand still {times:.0f} times a log, for {100 * share:.2g} % of the way, in
             {max(len(stops[name]) for name in odd)} of {n_logs} logs, between samples at full speed; expected counts as
-            long as it rolls; steps are lost before they are added up: check encoder and cable, log the counter's
-            total"""
+            long as it rolls; steps are lost before they are added up: check encoder and cable, log the total"""
         yield implausible_column(", ".join(odd), text, of="logs")
 
 

@@ -133,13 +133,13 @@ _SENSES: Final = (
 )
 #: headings and counts are this far apart, and this share of it where it is made good
 _APART_RAD, _MADE_GOOD = 1.0, 0.1
-#: of one run, no more than radii and track are off by: else its log is another's
-_SINGLE_RAD: Final = 0.1
+#: of one run, no more than noise, radii and track make: else its log is another's
+_SINGLE_RAD, _SINGLE_SHARE = 0.05, 0.06
 
 
 def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     """Yield wheels that count backwards and headings in degrees, of all runs or a session, by how far these turn."""
-    known, apart = _apart_rad(campaign)
+    known, apart, _ = _apart_rad(campaign)
     for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
         if len(of := runs[known[runs]]) >= LEAST_RUNS and (words := _made_good(np.median(apart[:, of], axis=1))):
             text = f"in {where} counts and headings are {words}"
@@ -150,8 +150,9 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
 
 def odd_runs(campaign: Campaign) -> Iterator[Note]:
     """Find single runs of another sense or unit: by their headings, or ends farther away than was driven."""
-    known, apart = _apart_rad(campaign)
-    near = np.flatnonzero(known & (apart.min(axis=0) < _SINGLE_RAD))
+    known, apart, turned = _apart_rad(campaign)
+    by = np.array([each for *_, each, _ in _SENSES])[apart.argmin(axis=0)]
+    near = np.flatnonzero(known & (apart.min(axis=0) < _SINGLE_RAD + _SINGLE_SHARE * np.abs(by * turned)))
     told = {run: words for run in near.tolist() if (words := _made_good(apart[:, run]))}
     for run, words in told.items() if len(told) <= MOST_ODD * known.sum() else ():
         text = f"counts and heading are {words.partition(';')[0]}; correct the row"
@@ -159,18 +160,18 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
     rolled = np.mean([np.abs(design.rolled_m(campaign, side)) for side in SIDES], axis=0)
     away = np.hypot(campaign.runs.number("ref_x_m"), campaign.runs.number("ref_y_m"))
     # wheels half as large again, and a sensor on the vehicle's edge, make up for less
-    far = np.flatnonzero(away > 1.5 * rolled + 1.0) if campaign.reference.frame != "map" else ()
-    for run in far if len(far) <= MOST_ODD * np.isfinite(away + rolled).sum() else ():
+    far = np.flatnonzero((away > 1.5 * rolled + 1.0) & (campaign.reference.frame != "map"))
+    for run in far.tolist() if len(far) <= MOST_ODD * np.isfinite(away + rolled).sum() else ():
         text = f"""the run ends {few_digits(away[run])} m away after {few_digits(rolled[run])} m driven; is it in
             another unit, or another run's?"""
-        yield design.cell_note(campaign, int(run), "ref_x_m, ref_y_m", text, "odd_run")
+        yield design.cell_note(campaign, run, "ref_x_m, ref_y_m", text, "odd_run")
 
 
-def _apart_rad(campaign: Campaign) -> tuple[BoolArray, FloatArray]:
+def _apart_rad(campaign: Campaign) -> tuple[BoolArray, FloatArray, FloatArray]:
     turned = design.reference_turns(campaign)[0]
     left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
     apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in _SENSES]
-    return np.isfinite(turned + left + right), np.array(apart)
+    return np.isfinite(turned + left + right), np.array(apart), turned
 
 
 def _made_good(apart_rad: FloatArray) -> str:

@@ -10,13 +10,13 @@ import numpy as np
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Unexplained, VerdictKind
 from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN, Closure, Improvement, end_rms_m
 from calib.gap.decision.trials import FALSE_ALARM, NEGLIGIBLE_GROWTH, Trial, most_square, reach_of_noise
+from calib.gap.effects.effect import forms_on
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
-from calib.gap.effects.library import matching_form
-from calib.gap.inference.fit import Fitted, hypothesis_path
+from calib.gap.inference.fit import hypothesis_path
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 from calib.gap.inference.noise import MAX_NOISE_EXCESS, STATED_EXCESS
 from calib.gap.observations.arrays import Channel
-from calib.gap.predict import Path, residuals
+from calib.gap.predict import residuals
 from calib.types import few_digits
 
 #: closure below which an unexplained residual hides whether anything is explained
@@ -125,37 +125,26 @@ def tells_more(windows: Diagnosis, ends: Diagnosis) -> bool:
 
 
 def kept_back_by_ends(windows: Diagnosis, ends: Diagnosis) -> Diagnosis:
-    """Return the diagnosis by windows, its fix not recommended where whole runs end further off with it, beyond chance.
-
-    `ends`: that of the whole runs. What shows in windows alone, as a delay, does nothing there.
-    """
+    """Return the diagnosis by windows, its fix not recommended where whole runs end further off with it."""
     from scipy.special import stdtrit
 
     if not windows.recommended:
         return windows
-    evidence, fix, seen = ends.arrays, windows.correction.at_end(), ends.observations
-    gaps = [residuals(path, evidence.nominal) for path in (evidence.nominal, _by_fix(fix, evidence))]
+    evidence, fix, seen = ends.arrays, windows.correction, ends.observations
+    offered = zip(forms_on(seen, evidence.effects, fix.forms), fix.theta, strict=True)
+    acting = [(form, size) for form, size in offered if form is not None]
+    forms, theta = [form for form, _ in acting], [size for _, size in acting]
+    corrected = hypothesis_path(seen, fix.calibration, forms, theta, evidence.nominal)
+    gaps = [residuals(path, evidence.nominal) for path in (evidence.nominal, corrected)]
     before, after = ((np.where(seen.usable, gap / evidence.noise.floor, 0.0) ** 2).sum(axis=1) for gap in gaps)
     grown, n = after - before, len(seen)
-    # one chance in twenty, Student's t of the paired runs
+    # one chance in twenty; a delay, which shows in windows alone, does nothing there
     chance = float(stdtrit(max(n - 1, 1), 0.95)) * float(np.std(grown)) / sqrt(n)
     if grown.mean() <= max(chance, NEGLIGIBLE_GROWTH * float(seen.usable.sum(axis=1).mean())):
         return windows
     sizes = [few_digits(1e3 * (end_rms_m(gap, seen) or 0.0)) for gap in gaps]
     why = f"whole runs end {sizes[1]} mm off with it, {sizes[0]} mm without; 'calib plan' names the runs that tell"
     return replace(windows, fix=replace(windows.fix, recommended=False, why=(why, *windows.fix.why)))
-
-
-def _by_fix(fix: Fitted, evidence: Evidence) -> Path:
-    known = [(form, size, evidence.effects.get(form.effect)) for form, size in zip(fix.forms, fix.theta, strict=True)]
-    offered = [
-        (matching_form(effect.forms(evidence.observations), form.label, form.settings), size)
-        for form, size, effect in known
-        if effect is not None
-    ]
-    acting = [(form, size) for form, size in offered if form is not None]
-    forms, sizes = [form for form, _ in acting], [size for _, size in acting]
-    return hypothesis_path(evidence.observations, fix.calibration, forms, sizes, evidence.nominal)
 
 
 def with_left(diagnosis: Diagnosis) -> Diagnosis:
@@ -202,11 +191,7 @@ def scatters_alone(evidence: Evidence) -> str:
 
 
 def no_mere_noise(evidence: Evidence) -> str:
-    """Return in which channel repeats scatter far more than stated, by what; empty if in none.
-
-    What follows a quantity that was written down is no noise, and beyond `MAX_NOISE_EXCESS` not even repeats tell what
-    scatters so: runs of another vehicle among them make it.
-    """
+    """Return in which channel repeats scatter far more than stated and follow a covariate, or beyond all measure."""
     excess = np.nan_to_num(evidence.noise.excess)
     told = {line.channel: line for line in evidence.where.significant if line.channel is not None}
     odd = [channel for channel in told if excess[channel] > STATED_EXCESS]

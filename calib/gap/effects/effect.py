@@ -204,6 +204,29 @@ class Effect(ABC):
         return [Form(self.id, *each, tries=len(offers), by_parts=by_parts) for each in offers]
 
 
+def forms_on(observations: Observations, effects: Mapping[str, Effect], wanted: Sequence[Form]) -> list[Form | None]:
+    """Return forms as other observations offer them, about the same centre; None for what they lack."""
+    found: list[Form | None] = []
+    for form in wanted:
+        offered = effects[form.effect].forms(observations) if form.effect in effects else []
+        alike = [each for each in offered if len(each.parameters) == len(form.parameters)]
+        nearest = matching_form(alike, form.label, form.settings)
+        found.append(nearest and nearest.centred_at(form.centre))
+    return found
+
+
+def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, float]) -> Form | None:
+    """Return the form of a label, of several that with the nearest settings; None where there is none."""
+
+    def off(form: Form) -> float:
+        return sum(abs(form.settings[key] - settings[key]) for key in form.settings.keys() & settings.keys())
+
+    alike = [form for form in forms if form.label == label]
+    # older files name the speed itself, which the settings hold
+    alike = alike or [form for form in forms if form.label.partition(" above")[0] == label.partition(" above")[0]]
+    return min(alike, key=off, default=None)
+
+
 def varies(values: FloatArray, by: float, observations: Observations) -> bool:
     """Return whether a covariate is known everywhere and takes more than one value (further apart than `by`).
 

@@ -72,8 +72,8 @@ class WheelEccentricity(Effect):
         if s.windowed or len(first) < 2 or float(np.ptp(begun, axis=1).max()) >= SAME_PHASE_RAD:
             return ""
         return (
-            "all counters begin alike, so that each run is taken to begin at the same angle of the wheels; where "
-            "nobody set them so, it stands for another cause that is alike on each route: keep the counters running"
+            "all counters begin alike, so each run is taken to begin at one angle of the wheels; unless they were set "
+            "so, it is another cause, alike on each route: keep the counters running"
         )
 
 

@@ -20,7 +20,7 @@ from calib.gap.effects.columns import (
     declared_effects,
     entry_point_effects,
 )
-from calib.gap.effects.effect import Centre, Effect, Family, Form
+from calib.gap.effects.effect import Centre, Effect, Family, Form, matching_form
 from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected
 from calib.gap.effects.radii import Wear
 from calib.gap.effects.reference import ReferenceLatency
@@ -383,15 +383,3 @@ def section_of(form: Form, theta: FloatArray) -> "EffectSection":
         for parameter, value in zip(form.parameters, theta, strict=True)
     }
     return EffectSection(effect=form.effect, form=form.label, settings=settings, parameters=parameters)
-
-
-def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, float]) -> Form | None:
-    """Return the form of a label, of several that with the nearest settings; None where there is none."""
-
-    def off(form: Form) -> float:
-        return sum(abs(form.settings[key] - settings[key]) for key in form.settings.keys() & settings.keys())
-
-    alike = [form for form in forms if form.label == label]
-    # older files name the speed itself, which the settings hold
-    alike = alike or [form for form in forms if form.label.partition(" above")[0] == label.partition(" above")[0]]
-    return min(alike, key=off, default=None)

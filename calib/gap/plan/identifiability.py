@@ -8,8 +8,8 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.documents import plain_fields
-from calib.gap.effects.effect import Effect, Form
-from calib.gap.effects.library import library, matching_form
+from calib.gap.effects.effect import Effect, Form, matching_form
+from calib.gap.effects.library import library
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, signature_columns, whitened_rows
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.marginal_likelihood import Nuisance, project

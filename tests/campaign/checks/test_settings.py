@@ -10,7 +10,7 @@ import pytest
 
 from calib.campaign.check import check_campaign
 from calib.campaign.checks.counts import turn_direction
-from calib.campaign.checks.settings import heading_turns, implausible_senses
+from calib.campaign.checks.settings import heading_turns, implausible_senses, odd_runs
 from calib.campaign.model import Campaign
 from tests.campaign.making import with_numbers
 from tests.kinematics.campaigns import Truth, campaign, square
@@ -107,3 +107,28 @@ def test_half_turns_that_their_instrument_wraps_are_left_alone() -> None:
     assert (np.sign(made.runs.number("ref_theta_rad")) != np.tile([1, -1], 6)).any()
     assert list(turn_direction(made)) == []
     assert list(heading_turns(made)) == []
+
+
+def _of_run(made: Campaign, run: int, **columns: Callable[[float], float]) -> Campaign:
+    changed = {name: made.runs.number(name).copy() for name in columns}
+    for name, change in columns.items():
+        changed[name][run] = change(changed[name][run])
+    return with_numbers(made, **changed)
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"ref_theta_rad": math.degrees}, "if the headings are in degrees; correct the row"),
+        ({"counts_right": lambda counts: -counts}, "if the right wheel counts backwards; correct the row"),
+        ({"ref_x_m": lambda x: 1e3 * x, "ref_y_m": lambda y: 1e3 * y}, "m driven; is it in another unit"),
+        ({}, ""),
+    ],
+)
+def test_a_single_run_of_another_unit_or_sense_is_named(
+    columns: dict[str, Callable[[float], float]], said: str
+) -> None:
+    """Beside sound ones, whose radii and track are off by some per cent."""
+    made = _of_run(_driven(), 4, **columns)
+    assert [note.run_id for note in odd_runs(made)] == ["r004"] * bool(said)
+    assert all(said in note.text for note in odd_runs(made))
