@@ -340,6 +340,7 @@ _MOST_RATIO: Final = 3.0
 
 def implausible_paths(campaign: Campaign) -> Iterator[Note]:
     """Yield positions in another unit or on a line, and two wheels with the same counts."""
+    campaign = design.on_axle(campaign)
     ratios, lines, alike = np.full(len(campaign.runs), np.nan), [], []
     for run, log in campaign.logs.each():
         if not log.keys() >= {"ref_x_m", "ref_y_m", "counts_left", "counts_right"}:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
-from calib.campaign.wheels import odometry_source, on_one_axle
+from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, on_one_axle
 from calib.types import FloatArray, IntArray, StrArray
 
 SIDES: Final = ("left", "right")
@@ -73,6 +73,12 @@ def on_axle(campaign: Campaign) -> Campaign:
     """Return the campaign with counts of two wheels on an axle; of mecanum wheels, only where l + w is known."""
     unknown = odometry_source(campaign) == "wheels" and campaign.vehicle.half_length_plus_half_width_m is None
     return campaign if unknown else on_one_axle(campaign)
+
+
+def wheel_columns(campaign: Campaign) -> str:
+    """Return the columns that the turns of the odometry come from."""
+    source = odometry_source(campaign)
+    return ", ".join((*WHEEL_COLUMNS[source], *(("steer_rad",) if source in STEERED else ())))
 
 
 def rolled_m(campaign: Campaign, side: str, counts: FloatArray | None = None) -> FloatArray:

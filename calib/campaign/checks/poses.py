@@ -291,6 +291,7 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
 
 def implausible_poses(campaign: Campaign) -> Iterator[Note]:
     """Yield end poses and headings in another unit."""
+    campaign = design.on_axle(campaign)
     runs, own_frame = campaign.runs, campaign.reference.frame != "map"
     theta, measured = (runs.number(name) for name in ("ref_theta_rad", "distance_m"))
     x, y = _ends_m(campaign)
@@ -337,6 +338,8 @@ def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
 
 
 def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
+    columns = design.wheel_columns(campaign)
+    steered = "steer_rad" in columns
     # beside unequal wheels, which turn in proportion to the distance; radii that scatter with the load make small
     # headings follow the counts less than once, never more
     theta, turned = campaign.runs.number("ref_theta_rad"), design.turned_rad(campaign)
@@ -349,7 +352,8 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
             return
         if not -2.0 <= ratio <= -0.5:
             degrees = abs(abs(ratio) * math.pi / 180 - 1) < 0.3
-            hint = "are they in degrees?" if degrees else "check track_m, counts_per_rev and the heading's unit"
+            length = "wheelbase_m" if steered else "track_m"
+            hint = "are they in degrees?" if degrees else f"check {length}, counts_per_rev and the heading's unit"
             text = f"the headings are {ratio:.3g} times those of the counts; expected the same within 2 times; {hint}"
             yield implausible_column("ref_theta_rad", text)
             return
@@ -362,9 +366,10 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
             return
     else:
         return
-    text = f"""the headings turn against the counts ({ratio:.3g} times); expected the same sense; are the wheels' counts
-        swapped, or is ref_theta_rad positive to the right?"""
-    yield implausible_column("counts_left, counts_right", text)
+    swapped = "do counts fall ahead, is steer_rad" if steered else "are the wheels' counts swapped,"
+    text = f"""the headings turn against the counts ({ratio:.3g} times); expected the same sense; {swapped} or is
+        ref_theta_rad positive to the right?"""
+    yield implausible_column(columns, text)
 
 
 def _logged_headings(campaign: Campaign) -> Iterator[Note]:

@@ -9,7 +9,7 @@ from calib.campaign.checks import design
 from calib.campaign.checks.design import LEAST_RUNS, SIDES, column_note, listed, raw_radius_ratio, setting_note, stated
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import CLOSED, log_totals
-from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
+from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
 #: both radii further from nominal, alike to `ALIKE`, are a setting rather than two worn wheels
@@ -125,12 +125,20 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
 
 
 #: factors of turns by left wheel, right wheel and reference -> what they make good
+Senses = tuple[tuple[float, float, float, str], ...]
 _SENSES: Final = (
     (1.0, 1.0, 1.0, ""),
     (-1.0, 1.0, 1.0, "the left wheel counts backwards; negate counts_left"),
     (1.0, -1.0, 1.0, "the right wheel counts backwards; negate counts_right"),
     (1.0, 1.0, np.pi / 180.0, "the headings are in degrees; name the column ref_theta_deg"),
 )
+_STEERED_SENSES: Final = (
+    _SENSES[0],
+    (1.0, 1.0, -1.0, "steer_rad or ref_theta_rad is positive to the right; negate it, or the counts, if they fall"),
+    (1.0, 1.0, np.pi / 180.0, "the headings are in degrees; name the column ref_theta_deg"),
+)
+#: no angle is steered or wraps beyond, in rad
+_MOST_STEERED_RAD: Final = 2.0 * np.pi
 #: headings and counts are this far apart, and this share of it where it is made good
 _APART_RAD, _MADE_GOOD = 1.0, 0.1
 #: of one run, no more than noise, radii and track make: else its log is another's
@@ -139,24 +147,35 @@ _SINGLE_RAD, _SINGLE_SHARE = 0.05, 0.06
 
 def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     """Yield wheels that count backwards and headings in degrees, of all runs or a session, by how far these turn."""
-    known, apart, _ = _apart_rad(campaign)
+    steer_rad = campaign.logs.columns.get("steer_rad", np.zeros(0))
+    if (beyond := np.abs(steer_rad) > _MOST_STEERED_RAD).any():
+        text = f"""found {np.nanmax(np.abs(steer_rad)):.3g} rad, and {beyond.sum()} sample(s) beyond a whole turn;
+            expected less; are they in degrees (name the column steer_deg), or of the steering wheel?"""
+        yield column_note("steer_rad", text, "implausible", "wrong", "logs")
+        return
+    campaign = design.on_axle(campaign)
+    senses, (known, apart, _) = _senses(campaign), _apart_rad(campaign)
     for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
-        if len(of := runs[known[runs]]) >= LEAST_RUNS and (words := _made_good(np.median(apart[:, of], axis=1))):
+        if len(of := runs[known[runs]]) >= LEAST_RUNS and (
+            words := _made_good(np.median(apart[:, of], axis=1), senses)
+        ):
             text = f"in {where} counts and headings are {words}"
-            yield column_note("counts_left, counts_right, ref_theta_rad", text, "implausible", "wrong")
+            columns = f"{design.wheel_columns(campaign)}, ref_theta_rad"
+            yield column_note(columns, text, "implausible", "wrong")
             if where == "all runs":
                 return
 
 
 def odd_runs(campaign: Campaign) -> Iterator[Note]:
     """Find single runs of another sense or unit: by their headings, or ends farther away than was driven."""
-    known, apart, turned = _apart_rad(campaign)
-    by = np.array([each for *_, each, _ in _SENSES])[apart.argmin(axis=0)]
+    campaign = design.on_axle(campaign)
+    senses, (known, apart, turned) = _senses(campaign), _apart_rad(campaign)
+    by = np.array([each for *_, each, _ in senses])[apart.argmin(axis=0)]
     near = np.flatnonzero(known & (apart.min(axis=0) < _SINGLE_RAD + _SINGLE_SHARE * np.abs(by * turned)))
-    told = {run: words for run in near.tolist() if (words := _made_good(apart[:, run]))}
+    told = {run: words for run in near.tolist() if (words := _made_good(apart[:, run], senses))}
     for run, words in told.items() if len(told) <= MOST_ODD * known.sum() else ():
         text = f"counts and heading are {words.partition(';')[0]}; correct the row"
-        yield design.cell_note(campaign, run, "counts_left, counts_right, ref_theta_rad", text, "odd_run")
+        yield design.cell_note(campaign, run, f"{design.wheel_columns(campaign)}, ref_theta_rad", text, "odd_run")
     rolled = np.mean([np.abs(design.rolled_m(campaign, side)) for side in SIDES], axis=0)
     away = np.hypot(campaign.runs.number("ref_x_m"), campaign.runs.number("ref_y_m"))
     # wheels half as large again, and a sensor on the vehicle's edge, make up for less
@@ -170,15 +189,19 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
 def _apart_rad(campaign: Campaign) -> tuple[BoolArray, FloatArray, FloatArray]:
     turned = design.reference_turns(campaign)[0]
     left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
-    apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in _SENSES]
+    apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in _senses(campaign)]
     return np.isfinite(turned + left + right), np.array(apart), turned
 
 
-def _made_good(apart_rad: FloatArray) -> str:
+def _senses(campaign: Campaign) -> Senses:
+    return _STEERED_SENSES if odometry_source(campaign) in STEERED else _SENSES
+
+
+def _made_good(apart_rad: FloatArray, senses: Senses) -> str:
     best = int(np.argmin(apart_rad))
     if apart_rad[0] <= _APART_RAD or apart_rad[best] >= _MADE_GOOD * apart_rad[0]:
         return ""
-    return f"{apart_rad[0]:.3g} rad apart, or {apart_rad[best]:.2g} if {_SENSES[best][-1]}"
+    return f"{apart_rad[0]:.3g} rad apart, or {apart_rad[best]:.2g} if {senses[best][-1]}"
 
 
 def unused_slopes(campaign: Campaign) -> Iterator[Note]:
