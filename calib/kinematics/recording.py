@@ -99,7 +99,7 @@ class Recording:
     @property
     def lengths_alone(self) -> bool:
         """Whether nothing but the lengths of straight runs was measured."""
-        return not (np.isfinite(self.end_pose[:, 1:]).any() or np.isfinite(self.reference).any())
+        return not (np.isfinite(self.end_pose[:, 1:]).any() or np.isfinite(self.reference[1:]).any())
 
     def with_whole_turns(self, turn_rad: FloatArray) -> "tuple[Recording, list[str]]":
         """Return the recording with whole turns added to end headings, and the few runs that were off.

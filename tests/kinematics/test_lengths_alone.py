@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from calib.campaign.read import read_campaign
 from calib.errors import RefusedError
@@ -40,6 +41,23 @@ def test_equal_wheels_are_doubtful_and_no_blunder_is_named(tmp_path: Path) -> No
     found = estimate_geometry(read_campaign(corridor(tmp_path / "c", (40.0,), 0.0, 0.0)))
     assert found.verdict is GeometryVerdict.DOUBTFUL
     assert not found.faults
+    assert any("lengths of straight runs alone" in sentence for sentence in found.why)
+
+
+def test_positions_along_the_line_alone_are_lengths(tmp_path: Path) -> None:
+    """``ref_x_m`` along the path, and no ``ref_y_m``, tells the wheels apart no better than the distance."""
+    folder = corridor(tmp_path / "c", (10.0, 20.0, 40.0), 0.0, 0.003)
+    runs = pd.read_csv(folder / "runs.csv").rename(columns={"distance_m": "ref_x_m"})
+    runs.to_csv(folder / "runs.csv", index=False)
+    (folder / "logs").mkdir()
+    for _, run in runs.iterrows():
+        share = np.linspace(0.0, 1.0, 50)
+        columns = {name: share * run[name] for name in ("counts_left", "counts_right", "ref_x_m")}
+        log = pd.DataFrame({"t_s": 20.0 * share} | columns).round({"counts_left": 0, "counts_right": 0})
+        log.to_csv(folder / "logs" / f"{run.run_id}.csv", index=False)
+    found = estimate_geometry(read_campaign(folder))
+    assert found.using == "windows"
+    assert found.verdict is GeometryVerdict.DOUBTFUL
     assert any("lengths of straight runs alone" in sentence for sentence in found.why)
 
 
