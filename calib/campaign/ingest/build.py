@@ -70,7 +70,7 @@ class _Ingestion:
     segments: list[Segment] = field(default_factory=list)
 
     def read_log(self, files: MappingType[str, Path]) -> MappedLog:
-        log = read_mapped(files, self.mapping, self.settings.encoder, self.border)
+        log = read_mapped(files, self.mapping, self.settings, self.border)
         for path in files.values():
             parts = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
             self.hashes |= {str(part): sha256_file(part) for part in parts}
@@ -142,15 +142,15 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
     runs = None
     if table is not None and (further := _further_tables(first, table, files, work)):
         parts, files = {first: table, **further}.items(), []
-        encoder = work.settings.encoder
-        runs = stacked([mapped_runs(raw, work.mapping, encoder, str(path), work.border) for path, raw in parts])
+        parts_of = (mapped_runs(raw, work.mapping, work.settings, str(path), work.border) for path, raw in parts)
+        runs = stacked([*parts_of])
     elif table is not None and work.mapping.table.sheets:
         runs = _runs_of_sheets(first, work)
     elif table is not None:
         sheets = files_of_sheets(work.mapping, first, files, work.hashes)
         files = [path for path in files if path not in sheets.values()]
         table, work.mapping = with_lookups(table, work.mapping, first, work.border, sheets)
-        runs = mapped_runs(table, work.mapping, work.settings.encoder, str(first), work.border)
+        runs = mapped_runs(table, work.mapping, work.settings, str(first), work.border)
     if work.mapping.cut is not None:
         if not files:
             raise BadInputError("sources: found no recording to cut; expected one beside the run table; name it")
@@ -167,7 +167,7 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
             names = object_array(several or [path.stem for path in files])
             shown = "the files given"
             raw = RawTable({"run_id": names}, np.arange(1, len(names) + 1, dtype=np.int64))
-            runs = mapped_runs(raw, work.mapping, work.settings.encoder, shown, work.border)
+            runs = mapped_runs(raw, work.mapping, work.settings, shown, work.border)
             matched = None if several else {index: {"": path} for index, path in enumerate(files)}
         missing: dict[int, str] = {}
         if matched is None:
@@ -245,7 +245,7 @@ def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
         if any(line.column == SHEET for line in given.columns.values()):
             raw = replace(raw, columns={SHEET: object_array([sheet] * len(raw.line)), **raw.columns})
         raw, mapping = with_lookups(raw, work.mapping, path, work.border, {})
-        tables.append(mapped_runs(raw, mapping, work.settings.encoder, shown, work.border))
+        tables.append(mapped_runs(raw, mapping, work.settings, shown, work.border))
     named = [str(run_id) for runs in tables for run_id in runs.run_id]
     if len({*named}) < len(named):
         text = "runs of several sheets have the same names; the sheet's name stands before each"

@@ -75,9 +75,10 @@ def load_of(text: str, unit: str) -> float | None:
 def stem_and_unit(name: str) -> tuple[str, str | None]:
     """Return a column's name without its unit, plain, and the unit if calib knows it.
 
-    `name`: ``Strecke [mm]`` or ``Weg in mm``.
+    `name`: ``Strecke [mm]``, ``Weg in mm`` or ``v_left_m_s``.
     """
     in_words = re.sub(r"\s+(?:in|/)\s+(\S+)\s*$", r" [\1]", name.strip())
+    in_words = re.sub(r"_(mm?|km|rad|deg)_([sh])$", r" [\1/\2]", in_words)
     stem, unit = split_suffix(spelled(in_words))
     before, inside = bracketed(in_words)
     if unit is None and inside is not None:
@@ -93,8 +94,10 @@ def count_unit(name: str) -> str | None:
     unit = unit_spelled(bracketed(name)[1] or name.lower().rpartition("_rpm")[1][1:])
     if unit in COUNT_UNITS:
         return unit
-    turned = re.match(f"{_names()['parts']['turns']}_", stem_and_unit(name)[0])
-    return "turns" if turned and side_of(name) else None
+    (stem, own), parts = stem_and_unit(name), _names()["parts"]
+    by_word = {"turns": "turns", "rate": "rpm"} if side_of(name) else {}
+    named = (unit for part, unit in by_word.items() if any(re.fullmatch(parts[part], word) for word in stem.split("_")))
+    return {"radps": "rad/s", "degps": "deg/s"}.get(own or "") or next(named, None)
 
 
 def guessed_table_column(name: str) -> str | None:
@@ -137,13 +140,31 @@ def _guessed_in_log(name: str) -> str | None:
         return f"counts_{_AXLES[corner[1][0]]}_{'left' if corner[1][1] == 'l' else 'right'}"
     wheel = _matching(short, None, "log") if short != stem else None
     # only wheels: pose_x_raw is none
-    return wheel if wheel and wheel.startswith("counts_") else _matching(stem, unit, "log")
+    return wheel if wheel and wheel.startswith("counts_") else _wheel_of(name) or _matching(stem, unit, "log")
+
+
+def _wheel_of(name: str) -> str | None:
+    """Return the wheel whose side, and what of it turns or rolls, stand in any order: ``left_wheel_angle``."""
+    parts, (stem, unit) = _names()["parts"], stem_and_unit(name)
+    measures, words = SUFFIXES[unit][0] if unit else "", stem.split("_")
+
+    def of(*names: str) -> set[str]:
+        return {word for word in words if any(re.fullmatch(parts[part], word) for part in names)}
+
+    told, speed = of("wheel", "turns", "angle", "rate", *(["rolled"] if measures == "m" else [])), of("speed")
+    left, right = of("left"), of("right")
+    others = {*words} - told - speed - of("beside") - left - right
+    if len(left) + len(right) != 1 or not told or others or measures not in {"", "m", "rad", "radps", "mps"}:
+        return None
+    side = "left" if left else "right"
+    by_speed = speed and (measures == "mps" or (not unit and count_unit(name) is None))
+    return f"speed_{side}_mps" if by_speed else f"counts_{side}"
 
 
 def _matching(stem: str, unit: str | None, section: str) -> str | None:
-    force = _names()["parts"]["force"]
+    force, no_wheel = (_names()["parts"][part] for part in ("force", "no_wheel"))
     for target, pattern in _names()[section].items():
-        if not re.fullmatch(pattern, stem):
+        if not re.fullmatch(pattern, stem) or (target.startswith("counts_") and re.search(no_wheel, stem)):
             continue
         if target.startswith("load_") and unit is None and not re.search(f"las|loa|^f|(^|_){force}(_|$)", stem):
             # a side alone is a wheel of any kind
@@ -269,7 +290,9 @@ def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, 
     `lines`: calib's column -> the recording's; `base`: the stream of the wheels; for a lag see `estimate_lag`.
     """
     counts = [line for name, line in lines.items() if name.startswith("counts_") and line.column in base.columns]
-    wheels = [base.columns[line.column] for line in counts if COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle"}]
+    wheels = [
+        base.columns[line.column] for line in counts if COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle", "length"}
+    ]
     if not wheels or base.time_ns is None:
         return {}
     origin = int(base.time_ns[0])

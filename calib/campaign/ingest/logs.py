@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.ingest.guesses import Lag, Lines, continuous_angle, continuous_counts, estimate_lags
-from calib.campaign.ingest.mapping import MappedColumn, Mapping
+from calib.campaign.ingest.mapping import MappedColumn, Mapping, counts_per_unit
 from calib.campaign.ingest.runs import resolved, whole_name, without_unit
 from calib.campaign.logs import (
     add_recognised,
@@ -19,12 +19,12 @@ from calib.campaign.logs import (
     omit_lost_frames,
     refuse_incomplete,
 )
-from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, Border, Note
+from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, Border, Campaign, Note
 from calib.campaign.readers import RawTable, holds_recording, joined_table, read_recording, read_table
 from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
-from calib.campaign.settings import Encoder, Recognised, converted, recognise
+from calib.campaign.settings import Recognised, converted, recognise
 from calib.errors import BadFileError
 from calib.types import FloatArray, floats
 
@@ -51,7 +51,7 @@ class MappedLog:
     from_start: bool = False
 
 
-def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encoder, border: Border) -> MappedLog:
+def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campaign, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
     `files`: one file, or a rosbag2 folder, under an empty name; or those of a run by the names of ``log.files``. Raises
@@ -63,7 +63,7 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
     if mapping.cut is not None and mapping.cut.column:
         lines[CUT_COLUMN] = MappedColumn(column=mapping.cut.column)
     lags: dict[str, Lag] = {}
-    bits = encoder.wrap_bits
+    bits = settings.encoder.wrap_bits
     if "" not in files or holds_recording(path):
         if "" in files:
             recording = _recording(path, shown, lines, mapping)
@@ -92,7 +92,7 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, encoder: Encode
         border.notes.extend(raw.notes)
     columns, epoch = _renamed(raw, lines, shown, border)
     if "t_s" in columns:
-        _to_counts(columns, lines, encoder)
+        _to_counts(columns, lines, settings, shown, border)
     refuse_incomplete(columns, shown, raw.line)
     omit_lost_frames(columns, REFERENCE_POSE, shown, border)
     columns = _without_repeats(columns, shown, border)
@@ -232,18 +232,20 @@ def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[d
     return {name: columns[name] for name in order}, raw.epochs.get(time_column)
 
 
-def _to_counts(columns: dict[str, FloatArray], lines: Lines, encoder: Encoder) -> None:
+def _to_counts(columns: dict[str, FloatArray], lines: Lines, settings: Campaign, shown: str, border: Border) -> None:
     for name in [name for name in columns if name.startswith("counts_") and name in lines]:
-        kind, turns = COUNT_UNITS[lines[name].wheel_unit]
-        values, per_rev = columns[name], encoder.per_rev(name)
+        unit, values = lines[name].wheel_unit, columns[name]
+        (kind, turns), counts = COUNT_UNITS[unit], counts_per_unit(name, unit, settings)
         if kind == "increments":
             columns[name] = np.cumsum(values)
         elif kind == "angle":
-            columns[name] = continuous_angle(values, 1.0 / turns) * turns * per_rev
+            columns[name] = continuous_angle(values, 1.0 / turns) * counts
+        elif kind == "length":
+            columns[name] = values * counts
+            border.say(shown, f"{name} computed from what the wheel rolled, by the nominal radius", "lengths")
         elif kind != "counts":
             steps = 0.5 * (values[1:] + values[:-1]) * np.diff(columns["t_s"])
-            factor = turns * per_rev if kind == "rate" else 1.0
-            columns[name] = np.concatenate(([0.0], np.cumsum(steps))) * factor
+            columns[name] = np.concatenate(([0.0], np.cumsum(steps))) * counts
 
 
 def _without_repeats(columns: dict[str, FloatArray], shown: str, border: Border) -> dict[str, FloatArray]:

@@ -5,6 +5,7 @@ docs/ingest.md has an example of each line. ``[table]`` and ``[log]`` name a sou
 of calib, with any known unit, need no line.
 """
 
+import math
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS
+from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Campaign
 from calib.campaign.readers import Layout
 from calib.campaign.readers.sheets import COUNT_UNITS, unit_spelled
 from calib.campaign.settings import bracketed
@@ -140,6 +141,18 @@ class MappedColumn(_Model):
     def _weighed(self, name: str) -> bool:
         unit = self.unit_for(name)
         return name.startswith("load_") and unit in SUFFIXES and SUFFIXES[unit][0] == "kg"
+
+
+def counts_per_unit(name: str, unit: str, settings: Campaign) -> float:
+    """Return the counts in a unit of a wheel's column `name`, or in a second of a rate.
+
+    `unit`: of `COUNT_UNITS`; a length is what a wheel of the nominal radius rolls.
+    """
+    kind, size = COUNT_UNITS[unit]
+    if kind == "length":
+        vehicle = settings.vehicle
+        size /= 2.0 * math.pi * (vehicle.front_radius_m if name == "counts_front" else vehicle.wheel_radius_m)
+    return size * settings.encoder.per_rev(name) if kind in {"angle", "rate", "length"} else 1.0
 
 
 class _Section(_Model):

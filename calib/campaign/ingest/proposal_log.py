@@ -9,10 +9,11 @@ from typing import Final
 
 from calib.campaign.ingest.contents import ColumnContents, FileContents
 from calib.campaign.ingest.guesses import BEHAVIOURS, RISES, count_unit, guessed_log_column, side_of, stem_and_unit
+from calib.campaign.ingest.mapping import MappedColumn
 from calib.campaign.ingest.proposal_table import entry, files_of_a_run, unit_remark
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.readers.recording import StreamContents
-from calib.campaign.readers.sheets import UNNAMED
+from calib.campaign.readers.sheets import COUNT_UNITS, UNNAMED
 from calib.campaign.settings import recognise
 from calib.campaign.settings_file import toml_value
 from calib.types import split_suffix, unit_named
@@ -294,10 +295,13 @@ def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[
     if stream is not None and stream.kind.endswith("JointState"):
         return "" if column.whole else "rad", ""
     unit = BEHAVIOURS.get(column.does, "")
-    if "_rpm" in column.name.lower():
-        return "rpm", ""
-    if count_unit(column.name) not in {None, "counts"} or (column.unit == "counts" and unit != "counts/sample"):
+    if COUNT_UNITS.get(column.unit, ("",))[0] == "length":
+        return "", "   # what the wheel rolled: wheel_radius_m is to be the radius it was computed by"
+    named, counted = MappedColumn(column=column.name).unit_for("counts_left"), count_unit(column.name)
+    if named not in {None, "counts"} or (column.unit == "counts" and unit != "counts/sample"):
         return "", ""
+    if counted not in {None, "counts"}:
+        return str(counted), ""
     if unit:
         return unit, f"   # {column.does}"
     if column.kind != "number" or column.whole or column.wrap_bits:

@@ -17,17 +17,18 @@ from calib.campaign.ingest.mapping import (
     MappedColumn,
     Mapping,
     bad_line,
+    counts_per_unit,
     expected_name,
     fits_name,
     run_in,
     run_number,
     with_number,
 )
-from calib.campaign.model import Border, RunTable
+from calib.campaign.model import Border, Campaign, RunTable
 from calib.campaign.readers import Layout, RawTable, read_table
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import comma_evidence, is_filled, numbers, object_array
-from calib.campaign.settings import Encoder, bracketed, converted, recognise
+from calib.campaign.settings import bracketed, converted, recognise
 from calib.campaign.tables import run_table
 from calib.errors import BadFileError
 from calib.io import sha256_file
@@ -150,7 +151,7 @@ def names_runs(raw: RawTable, mapping: Mapping) -> bool:
     return own or (line is not None and line.column in raw.columns)
 
 
-def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, border: Border) -> RunTable:
+def mapped_runs(raw: RawTable, mapping: Mapping, settings: Campaign, shown: str, border: Border) -> RunTable:
     """Return the run table of a laboratory's table; see `run_table`.
 
     Raises BadFileError where the mapping names a column or a text that is not there, or the table cannot be used.
@@ -164,7 +165,10 @@ def mapped_runs(raw: RawTable, mapping: Mapping, encoder: Encoder, shown: str, b
             columns[line.target(name)] = _cells(raw, name, line, mapping, shown)
             factor = line.scale(name)
             if name.startswith("counts_"):
-                factor *= _counts_per_unit(name, line, encoder, mapping)
+                if COUNT_UNITS[line.wheel_unit][0] not in {"counts", "angle", "length"}:
+                    expected = "counts, a length, turns, rad or deg of a run"
+                    raise bad_line(mapping.shown, "table", f"{name}.unit", line.wheel_unit, expected)
+                factor *= counts_per_unit(name, line.wheel_unit, settings)
             factors[recognise(line.target(name), TABLE_COLUMNS).name] = factor
     used = {name for line in lines.values() for name in line.sources}
     for name, cells in raw.columns.items():
@@ -209,13 +213,6 @@ def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown
             raise bad_line(mapping.shown, "table", f"{name}.values", list(line.values), expected)
         texts.append(meanings.get(text, str(cell).strip()) if text else None)
     return object_array(texts)
-
-
-def _counts_per_unit(name: str, line: MappedColumn, encoder: Encoder, mapping: Mapping) -> float:
-    kind, turns = COUNT_UNITS[line.wheel_unit]
-    if kind not in {"counts", "angle"}:
-        raise bad_line(mapping.shown, "table", f"{name}.unit", line.wheel_unit, "counts, turns, rad or deg of a run")
-    return turns * encoder.per_rev(name) if kind == "angle" else 1.0
 
 
 def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> npt.NDArray[Any]:

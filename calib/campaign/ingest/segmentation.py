@@ -86,7 +86,7 @@ def segment_recordings(
         numbered = {"run_id": object_array([with_number(cut.run_id, n) for n in range(1, len(names) + 1)])}
         sessions = {} if "session" in mapping.table.columns else {"session": object_array(names)}
         raw = RawTable(numbered | sessions, np.arange(2, len(names) + 2, dtype=np.int64))
-        runs = mapped_runs(raw, mapping, settings.encoder, "the runs cut", border)
+        runs = mapped_runs(raw, mapping, settings, "the runs cut", border)
     elif len(runs) != len(logs):
         spans = ", ".join(f"{segment.start_s:.4g}-{segment.end_s:.4g}" for segment in segments[:12])
         found = f"{len(logs)} runs, cut by {cut.by} ({spans} s), and {len(runs)} rows of the table"

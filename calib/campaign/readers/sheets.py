@@ -17,7 +17,7 @@ from calib.types import SUFFIXES, unit_named
 
 #: as read
 Rows = list[Sequence[Any]]
-#: unit of a wheel's column -> what its numbers are, and turns (or counts) a unit
+#: unit of a wheel's column -> what its numbers are, and turns (or counts, or metres) a unit
 COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "counts": ("counts", 1.0),
     "counts/sample": ("increments", 1.0),
@@ -30,6 +30,9 @@ COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "deg/s": ("rate", 1.0 / 360.0),
     "rpm": ("rate", 1.0 / 60.0),
     "rad/min": ("rate", 1.0 / (60.0 * 2.0 * pi)),
+    "m": ("length", 1.0),
+    "cm": ("length", 1e-2),
+    "mm": ("length", 1e-3),
 }
 #: in lower case
 _COUNT_SPELLINGS: Final = (

@@ -12,7 +12,7 @@ from calib.campaign.ingest.logs import read_mapped
 from calib.campaign.ingest.mapping import Segmentation, parse_section, read_mapping
 from calib.campaign.ingest.segmentation import end_values, find_runs, from_start
 from calib.campaign.model import Border
-from calib.campaign.settings import Encoder
+from calib.campaign.settings_file import parse_settings
 from calib.errors import BadFileError
 
 M_PER_COUNT = 0.001
@@ -181,6 +181,8 @@ def test_a_wrapped_heading_of_another_file_is_not_interpolated_across_its_jump(t
         'counts_right = "w:counts_right"\nref_x_m = "m:x"\nref_y_m = "m:y"\n'
         'ref_theta_rad = {column = "m:yaw", unit = "deg"}\n'
     )
-    joined = read_mapped({"w": wheels, "m": camera}, read_mapping(mapping), Encoder(), Border(lenient=False))
+    read = read_mapping(mapping)
+    settings = parse_settings(read.settings, read.shown, "c")
+    joined = read_mapped({"w": wheels, "m": camera}, read, settings, Border(lenient=False))
     theta = joined.columns["ref_theta_rad"]
     assert np.nanmax(np.abs(theta - np.interp(joined.columns["t_s"], time, heading))) < 0.01

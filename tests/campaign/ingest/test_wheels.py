@@ -32,6 +32,32 @@ PAIRS = [
     ("encoder_left_ticks", "encoder_right_ticks"),
     ("Enc L [cnt]", "Enc R [cnt]"),
 ]
+#: names in any order of words, and the line that a log of numbers with decimals is to have
+IN_ANY_ORDER = {
+    "left wheel angle [deg]": 'counts_left = "left wheel angle [deg]"',
+    "angle_wheel_l_rad": 'counts_left = "angle_wheel_l_rad"',
+    "position left wheel [rad]": 'counts_left = "position left wheel [rad]"',
+    "Radwinkel links [°]": 'counts_left = "Radwinkel links [°]"',
+    "Umdrehungen links": 'counts_left = {column = "Umdrehungen links", unit = "turns"}',
+    "wheel_left_turns": 'counts_left = {column = "wheel_left_turns", unit = "turns"}',
+    "giri ruota sx": 'counts_left = {column = "giri ruota sx", unit = "turns"}',
+    "Drehzahl links [1/min]": 'counts_left = "Drehzahl links [1/min]"',
+    "rpm_left": 'counts_left = {column = "rpm_left", unit = "rpm"}',
+    "left wheel speed [rad/s]": 'counts_left = "left wheel speed [rad/s]"',
+    "wheel_l_rad_s": 'counts_left = {column = "wheel_l_rad_s", unit = "rad/s"}',
+    "Weg links [mm]": 'counts_left = "Weg links [mm]"',
+    "cumulative distance left wheel (m)": 'counts_left = "cumulative distance left wheel (m)"',
+    "v_left_mm_s": 'speed_left_mps = {column = "v_left_mm_s", unit = "mmps"}',
+    "left_wheel_velocity": 'speed_left_mps = {column = "left_wheel_velocity", unit = "mps"}',
+}
+#: with a side, and no wheel
+NO_WHEELS = (
+    "distance left [m]",
+    "Abstand links [mm]",
+    "force left wheel [N]",
+    "motor temperature left",
+    "theta_r [rad]",
+)
 
 
 def _log(path: Path, columns: dict[str, np.ndarray], form: str = ".6f") -> Path:
@@ -60,6 +86,42 @@ def test_two_wheels_are_found_by_their_names(names: tuple[str, str], tmp_path: P
     )
     assert [line.split(" = ")[0] for line in lines] == list(TWO)
     assert names[0] in lines[0] and names[1] in lines[1]
+
+
+def test_what_wheels_turn_or_roll_is_found_in_any_order_of_words(tmp_path: Path) -> None:
+    time, left, right = _turned()
+    others = {"left": "right", "links": "rechts", "_l": "_r", "sx": "dx"}
+    for number, (name, line) in enumerate(IN_ANY_ORDER.items()):
+        other = next(name.replace(side, opposite) for side, opposite in others.items() if side in name)
+        columns = {"t_s": time, name: 0.0123 * left, other: 0.0123 * right}
+        text = describe([_log(tmp_path / f"{number}.csv", columns)]).to_toml()
+        assert line in text, name
+        assert other in next(each for each in text.splitlines() if each.startswith(line.replace("left", "right")[:12]))
+    assert not [name for name in NO_WHEELS if (guessed_log_column(name) or "").startswith(("counts_", "speed_"))]
+
+
+@pytest.mark.parametrize("unit", ["m", "cm", "mm"])
+def test_what_wheels_rolled_becomes_counts_of_the_nominal_radius(unit: str, tmp_path: Path) -> None:
+    """A wheel of 0.08 m and 4096 counts rolls 2 pi 0.08 m a revolution, in logs and in run tables."""
+    scale, n = {"m": 1.0, "cm": 100.0, "mm": 1000.0}[unit], 50
+    way_m = np.linspace(0.0, 10.0, n)
+    _log(tmp_path / "r1.csv", {"t_s": np.arange(n) / 5, "L": scale * way_m, "R": 1.001 * scale * way_m}, ".9f")
+    (tmp_path / "runs.csv").write_text(f"run_id,distance_m,L,R\nr1,10.0,{10.0 * scale},{10.01 * scale}\n")
+    wheels = "\n".join(
+        f'counts_{side} = {{column = "{side[0].upper()}", unit = "{unit}"}}' for side in ("left", "right")
+    )
+    mapping = tmp_path / "mapping.toml"
+    mapping.write_text(
+        'name = "rolled"\n[vehicle]\ndrive = "differential"\nwheel_radius_m = 0.08\n[encoder]\ncounts_per_rev = 4096\n'
+        f'[table]\n{wheels}\n[log]\nfile = "{{run_id}}.csv"\n{wheels}\n'
+    )
+    sources = [tmp_path / "runs.csv", tmp_path / "r1.csv"]
+    campaign = ingest(sources, tmp_path / "c", mapping=mapping).campaign
+    expected = 10.0 / (2.0 * np.pi * 0.08) * 4096.0
+    for found in (campaign.runs.number, lambda name: log_totals(campaign.logs, name)):
+        assert found("counts_left") == pytest.approx([expected], rel=1e-9)
+        assert found("counts_right") == pytest.approx([1.001 * expected], rel=1e-9)
+    assert any("by the nominal radius" in note.text for note in campaign.notes)
 
 
 @pytest.mark.parametrize("name", ["front_left_wheel", "front_left_wheel_joint", "wheel_front_left_joint", "fl_wheel"])
