@@ -169,6 +169,8 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
         if target.startswith("load_") and unit is None and not re.search(f"las|loa|^f|(^|_){force}(_|$)", stem):
             # a side alone is a wheel of any kind
             continue
+        if unit is None and target == "temperature_C" and stem == "t":
+            continue
         if unit is None or (target.startswith("counts_") and "mps" not in SUFFIXES[unit]) or unit in units_for(target):
             return target
     return None
