@@ -6,7 +6,7 @@ whitened signatures: the ceiling.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -173,8 +173,7 @@ RANK: Final = 1e-9
 ALIKE_NATS: Final = 1e-6
 
 
-@dataclass(frozen=True, slots=True)
-class Ceiling:
+class Ceiling(NamedTuple):
     """What the best rule reaches on one campaign at one signal."""
 
     free: float  #: share of true effects named, where there surely is one

@@ -112,7 +112,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     effects = tuple(c.effect for c in truth.causes if not (crowded and c.effect.startswith("outside:")))
     causes = [cause for cause in given.get("causes", []) if isinstance(cause, dict)]
     named = tuple(str(cause.get("effect", "")) for cause in causes)
-    groups = _groups_of(given, causes)
+    groups = groups_of(given, causes)
     near = {name for name, distance in truth.rivals if distance < APART} | set(recipe.aliases)
     in_library = recipe.group != "outside" and not recipe.deleted
     first = bool(named) and named[0] in effects if effects else not named and word == "no_gap"
@@ -175,7 +175,8 @@ def _family(effect: str) -> str:
     return effect if kind is None else kind.family.value
 
 
-def _groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> list[set[str]]:
+def groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> list[set[str]]:
+    """Return the effects that a verdict cannot tell apart, with forms that fit as well."""
     open_forms = {str(cause.get("effect", "")): set(cause["forms_open"]) for cause in causes if cause.get("forms_open")}
     alike = given.get("indistinguishable", [])
     groups = [set(group).union(*(open_forms.get(name, set()) for name in group)) for group in alike]

@@ -136,6 +136,7 @@ class Plant:
     effect: str  #: id of the effect, or name of the outside cause
     form: str
     outside: bool  #: whether no library holds it
+    family: str
     size: float
     unit: str
     signal: float  #: beside these runs' noise, after a recalibration
@@ -155,6 +156,7 @@ class _Candidate:
     typical: float = 5e-4
     form: str = "plain"
     unit: str = "1/sd"
+    family: str = ""
     outside: bool = False
 
 
@@ -199,7 +201,7 @@ def _candidates(
             left_out[effect.id] = f"these runs cannot show it: it needs {effect.needs or 'other runs'}"
         elif effect.id.startswith("covariate:"):
             act = _on_both_radii(_standard(replay.observations.number(effect.id.partition(":")[2])))
-            candidates.append(_Candidate(effect.id, act))
+            candidates.append(_Candidate(effect.id, act, family=effect.family.value))
         elif effect.id not in plant_effects():
             left_out[effect.id] = "an effect of the campaign's own has no form to plant"
         else:
@@ -208,7 +210,8 @@ def _candidates(
             form = next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
             knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
             act = partial(_planted, form, knobs)
-            candidates.append(_Candidate(effect.id, act, form.typical, form.form, form.unit))
+            known = (form.typical, form.form, form.unit, effect.family.value)
+            candidates.append(_Candidate(effect.id, act, *known))
     for name, outsider in outsiders(replay, rng).items():
         if isinstance(outsider, str):
             left_out[name] = outsider
@@ -274,5 +277,6 @@ def _sized(
         if (moved > LARGEST_SHARE).any() or (np.abs(changes[0][:, 3]) > LARGEST_RAD).any():
             continue
         reached = _signal(diagnosis, changes[0], free)
-        plants.append(Plant(given.effect, given.form, given.outside, value, given.unit, reached, changes))
+        known = (given.effect, given.form, given.outside, given.family)
+        plants.append(Plant(*known, value, given.unit, reached, changes))
     return plants, "" if plants else "a size that shows would have to be out of all proportion"

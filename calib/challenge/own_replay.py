@@ -1,6 +1,6 @@
 """A campaign driven again, with a planted effect and its own noise redrawn."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -100,63 +100,10 @@ def _side(angle: FloatArray, last: IntArray) -> FloatArray:
 SMOOTH_S: Final = 0.5
 STRAIGHT_RAD: Final = 0.5
 ZERO_WHERE_UNKNOWN: Final = ("payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load")
+#: what the log gives of a moment
+LOGGED: Final = ("v_mps", "acceleration_mps2", "curvature_per_m", "angle_left_rad", "angle_right_rad")
 
 Act = Callable[[World], None]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Route:
-    """The logged steps of every unit side by side, short units filled with zeros."""
-
-    #: shape (n_steps_most, n_units): rotation of the wheels, duration and end of each step
-    roll_left_rad: FloatArray
-    roll_right_rad: FloatArray
-    duration_s: FloatArray
-    time_s: FloatArray
-    #: shape (n_steps_most, n_units): motion by the log, smoothed
-    speed_mps: FloatArray
-    acceleration_mps2: FloatArray
-    curvature_per_m: FloatArray
-    #: shape (n_steps_most, n_units): wheel angles at the end of each step
-    angle_left_rad: FloatArray
-    angle_right_rad: FloatArray
-    #: shape (n_steps_most, n_units): way and angle of a front wheel that alone drives the odometry
-    front_m: FloatArray
-    steer_rad: FloatArray
-    last: IntArray  #: shape (n_units,): last step of each unit
-
-
-def route_of(observations: Observations) -> Route:
-    """Return the steps of a campaign's units."""
-    lengths = observations.lengths
-    shape = (int(lengths.max()), len(observations))
-    place = np.arange(len(observations.unit)) - np.repeat(observations.starts[:-1], lengths)
-
-    def wide(steps: FloatArray) -> FloatArray:
-        laid = np.zeros(shape)
-        laid[place, observations.unit] = np.nan_to_num(steps)
-        return laid
-
-    duration = wide(observations.duration_s)
-    speed = _smoothed(wide(observations.speed_mps), duration, lengths)
-    change = np.diff(speed, axis=0, prepend=speed[:1])
-    front = observations.model.front or FrontModel(0.0, 1.0)
-    if observations.by_front:
-        front = observations.model.steered(observations.vehicle)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        acceleration = np.where(duration > 0, change / duration, 0.0)
-    same = ("roll_left_rad", "roll_right_rad", "time_s", "curvature_per_m")
-    return Route(
-        **{name: wide(getattr(observations, name)) for name in same},
-        duration_s=duration,
-        speed_mps=speed,
-        acceleration_mps2=acceleration,
-        angle_left_rad=wide(observations.phase_left_rad),
-        angle_right_rad=wide(observations.phase_right_rad),
-        front_m=front.radius_m * wide(observations.front_roll_rad),
-        steer_rad=front.scale * wide(observations.steer_rad) + front.zero_rad,
-        last=lengths - 1,
-    )
 
 
 def _smoothed(speed: FloatArray, duration: FloatArray, lengths: IntArray) -> FloatArray:
@@ -219,12 +166,42 @@ class Replay:
 
     observations: Observations
     design: Design  #: what was driven, as the plant's forms ask for it
-    route: Route
+    #: the logged steps of every unit side by side, short units filled with zeros, shape (n_steps_most, n_units): by
+    #: the names of `Moment` its motion, smoothed; rotation of the wheels, duration and end of each step; way and angle
+    #: of a front wheel that alone drives the odometry
+    steps: Mapping[str, FloatArray]
+    last: IntArray  #: shape (n_units,): last step of each unit
 
     @staticmethod
     def of(observations: Observations) -> "Replay":
         """Return the replay of a campaign."""
-        return Replay(observations, _design(observations), route_of(observations))
+        lengths = observations.lengths
+        shape = (int(lengths.max()), len(observations))
+        place = np.arange(len(observations.unit)) - np.repeat(observations.starts[:-1], lengths)
+
+        def wide(steps: FloatArray) -> FloatArray:
+            laid = np.zeros(shape)
+            laid[place, observations.unit] = np.nan_to_num(steps)
+            return laid
+
+        same = ("roll_left_rad", "roll_right_rad", "duration_s", "time_s", "curvature_per_m")
+        steps = {name: wide(getattr(observations, name)) for name in same}
+        speed = _smoothed(wide(observations.speed_mps), steps["duration_s"], lengths)
+        change = np.diff(speed, axis=0, prepend=speed[:1])
+        front = observations.model.front or FrontModel(0.0, 1.0)
+        if observations.by_front:
+            front = observations.model.steered(observations.vehicle)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            acceleration = np.where(steps["duration_s"] > 0, change / steps["duration_s"], 0.0)
+        steps |= {
+            "v_mps": speed,
+            "acceleration_mps2": acceleration,
+            "angle_left_rad": wide(observations.phase_left_rad),
+            "angle_right_rad": wide(observations.phase_right_rad),
+            "front_m": front.radius_m * wide(observations.front_roll_rad),
+            "steer_rad": front.scale * wide(observations.steer_rad) + front.zero_rad,
+        }
+        return Replay(observations, _design(observations), steps, lengths - 1)
 
     def readings(self, act: Act | None, *, level: bool = False) -> FloatArray:
         """Return distance, x, y, heading, path and turn as read at each unit's end, (n_units, 6).
@@ -245,25 +222,25 @@ class Replay:
 
 
 def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
-    route, n_units = replay.route, len(replay.observations)
+    steps, n_units = replay.steps, len(replay.observations)
     now = Moment.at_rest(n_units)
     path = np.zeros(n_units)
-    angles = true_angles(route.steer_rad, route.time_s, route.last, world) if replay.observations.by_front else None
+    angles = None
+    if replay.observations.by_front:
+        angles = true_angles(steps["steer_rad"], steps["time_s"], replay.last, world)
     # a count that is lost was rolled all the same
     left_m, right_m = world.believed_left_m * world.left, world.believed_right_m * world.right
     track_m = world.model.track_m * world.track
-    for step in range(len(route.time_s)):
-        duration = route.duration_s[step]
-        now.t_s = float(route.time_s[step].max())
-        now.v_mps, now.acceleration_mps2 = route.speed_mps[step], route.acceleration_mps2[step]
-        now.curvature_per_m = route.curvature_per_m[step]
-        now.angle_left_rad, now.angle_right_rad = route.angle_left_rad[step], route.angle_right_rad[step]
+    for step, duration in enumerate(steps["duration_s"]):
+        now.t_s = float(steps["time_s"][step].max())
+        for name in LOGGED:
+            setattr(now, name, steps[name][step])
         if world.during:
             now.added.fill(0.0)
             for effect in world.during:
                 effect(now)
-        left = route.roll_left_rad[step] * left_m * (1.0 + now.left) / (1.0 - now.lost_left)
-        right = route.roll_right_rad[step] * right_m * (1.0 + now.right) / (1.0 - now.lost_right)
+        left = steps["roll_left_rad"][step] * left_m * (1.0 + now.left) / (1.0 - now.lost_left)
+        right = steps["roll_right_rad"][step] * right_m * (1.0 + now.right) / (1.0 - now.lost_right)
         way = 0.5 * (left + right) / (1.0 + world.rise)
         turn = (right - left) / (track_m * (1.0 + now.track)) + now.yaw_radps * duration
         if angles is not None:
@@ -277,12 +254,12 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
         now.theta_rad = now.theta_rad + turn
         path += way
     units = np.arange(n_units)
-    now.v_mps, now.curvature_per_m = (part[route.last, units] for part in (route.speed_mps, route.curvature_per_m))
+    now.v_mps, now.curvature_per_m = (steps[name][replay.last, units] for name in ("v_mps", "curvature_per_m"))
     return now, path
 
 
 def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-    read, way = replay.route.steer_rad[step], replay.route.front_m[step]
+    read, way = replay.steps["steer_rad"][step], replay.steps["front_m"][step]
     wheelbase_m = world.model.steered(replay.observations.vehicle).wheelbase_m
     if replay.observations.by_shaft:
         return np.ones_like(true), way * (np.tan(true) - np.tan(read)) / wheelbase_m
@@ -300,7 +277,7 @@ def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) 
     y_late = y - world.latency_s * end.v_mps * np.sin(theta)
     if replay.observations.windowed:
         # a window's start is read as late as its end
-        v, omega = replay.route.speed_mps[0], replay.route.speed_mps[0] * replay.route.curvature_per_m[0]
+        v, omega = replay.steps["v_mps"][0], replay.steps["v_mps"][0] * replay.steps["curvature_per_m"][0]
         x_late, theta_late = x_late + world.latency_s * v, theta_late + world.latency_s * omega
     seen = world.seen_target(x_late, y_late, theta_late, world.ref_yaw_rad)
     return np.stack([distance, *seen, theta_late, path_m, theta], axis=1)

@@ -1,7 +1,7 @@
 """What this lab's data would find, and how often wrongly, by planting and diagnosing."""
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -9,14 +9,13 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign, Logs
-from calib.challenge.judge import OPEN, grouped_with
+from calib.challenge.judge import OPEN, grouped_with, groups_of
 from calib.challenge.own_plants import Plant, Size, parse_sizes, plants_of
 from calib.challenge.own_replay import OwnNoise, Replay, own_noise
 from calib.challenge.score import clopper_pearson
 from calib.challenge.seal import each
 from calib.documents import plain
 from calib.errors import RefusedError
-from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.observations.arrays import Observations
 from calib.types import FloatArray, Progress, grouped, silent
@@ -45,10 +44,8 @@ def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
     word = str(verdict["verdict"])
     causes = list(verdict.get("causes", ()))
     named = [str(cause["effect"]) for cause in causes]
-    groups = [set(group) for group in verdict.get("indistinguishable", ())]
-    groups += [{str(cause["effect"]), *cause.get("forms_open", ())} for cause in causes]
     families = {str(cause.get("family", "")) for cause in causes[:1]} - set(NO_FAMILY)
-    together = family in families or grouped_with(effect, named, groups)
+    together = family in families or grouped_with(effect, named, groups_of(verdict, causes))
     named_wrongly = bool(named) and word not in SILENT and not together
     return Answer(
         verdict=word,
@@ -161,115 +158,111 @@ class Own:
 
 
 #: sizes by default: hardly seen, seen, strong
-SIZES: Final = "5s,10s,25s"
+SIZES: Final = parse_sizes("5s,10s,25s")
 #: empty campaigns for each round of plants
 EMPTY_EACH: Final = 4
+#: what is planted, or nothing, and which time it is
+_Job = tuple[Plant | None, int]
 
 
-@dataclass(frozen=True, slots=True)
-class Asked:
-    """What is asked for."""
+def challenge_own(
+    campaign: Campaign,
+    effects: Sequence[str] = (),
+    sizes: Sequence[Size] = SIZES,
+    *,
+    planted: int = 5,
+    workers: int = 2,
+    seconds: float = 900.0,
+    seed: int = 0,
+    progress: Progress = silent,
+) -> Own:
+    """Plant known effects on a campaign's own noise and route, and diagnose each; see `OwnNoise`.
 
-    effects: tuple[str, ...] = ()  #: also outside causes; empty: all that the campaign can show
-    sizes: tuple[Size, ...] = parse_sizes(SIZES)
-    planted: int = 5  #: how often each at each size
-    workers: int = 2
-    #: then no further diagnosis begins; each size is planted once before any is twice
-    seconds: float = 900.0
-    seed: int = 0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bench:
-    campaign: Campaign
-    observations: Observations
-    readings: FloatArray
-    noise: OwnNoise
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Job:
-    plant: int
-    effect: str
-    family: str
-    change: FloatArray
-    seeds: tuple[int, ...]
-
-
-def challenge_own(campaign: Campaign, asked: Asked | None = None, progress: Progress = silent) -> Own:
-    """Plant known effects on a campaign's own noise and route, and diagnose each; see `OwnNoise`."""
-    asked = asked or Asked()
+    Parameters
+    ----------
+    campaign : Campaign
+        Runs with logs.
+    effects : sequence of str
+        Also outside causes; empty: all that the campaign can show.
+    sizes : sequence of Size
+        How large each is planted.
+    planted : int
+        How often each at each size.
+    workers : int
+        Processes of this machine.
+    seconds : float
+        Then no further diagnosis begins; each size is planted once before any is twice.
+    seed : int
+        Of all that is drawn.
+    progress : Progress
+        Told the diagnoses done.
+    """
     began = time.monotonic()
-    diagnosis = diagnose_in_full(campaign, seed=asked.seed, plan=False)
+    diagnosis = diagnose_in_full(campaign, seed=seed, plan=False)
     # a cause of no library was found before the search: a blunder
     if {cause.effect for cause in diagnosis.causes} - {effect.id for effect in diagnosis.effects}:
         raise RefusedError(
             f"{campaign.name}: the counters have a blunder ({diagnosis.sentence}); expected counts "
             "that are right to a few per cent; correct the campaign's encoder settings first"
         )
-    replay = Replay.of(diagnosis.observations)
-    plants, left_out = plants_of(diagnosis, replay, asked.effects, asked.sizes, np.random.default_rng(asked.seed))
-    bench = _bench(campaign, diagnosis)
-    families = {effect.id: effect.family.value for effect in diagnosis.effects}
-    jobs = list(_jobs(plants, families, asked, len(diagnosis.observations)))
+    observations = diagnosis.observations
+    plants, left_out = plants_of(diagnosis, Replay.of(observations), effects, sizes, np.random.default_rng(seed))
+    jobs: list[_Job] = []
+    for turn in range(planted):
+        jobs += [(None, turn * EMPTY_EACH + number) for number in range(EMPTY_EACH)]
+        jobs += [(plant, turn) for plant in plants]
     progress(0, len(jobs), "diagnoses")
-    work = partial(_diagnosed, bench, began + asked.seconds)
-    answers = each(work, jobs, asked.workers, lambda done: progress(done, len(jobs), "diagnoses"))
-    by_plant = grouped((job.plant, answer) for job, answer in zip(jobs, answers, strict=True) if answer is not None)
+    # logs are in the observations; without them a campaign is quick to hand over
+    light = replace(campaign.included(), logs=Logs.empty(len(campaign.included().runs)))
+    noise = own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance)
+    simulated = observations.simulated
+    readings = np.where(np.isfinite(simulated), simulated, diagnosis.nominal.reading)
+    work = partial(_diagnosed, light, observations, readings, noise, seed, began + seconds)
+    answers = each(work, jobs, workers, lambda done: progress(done, len(jobs), "diagnoses"))
+    by_plant = grouped((plant, answer) for (plant, _), answer in zip(jobs, answers, strict=True) if answer is not None)
     return Own(
         campaign=campaign.name,
         simulated=campaign.simulated,
         own_verdict=diagnosis.kind.value,
-        runs=len(campaign.included().runs),
-        units=len(diagnosis.observations),
-        units_with_repeats=int(bench.noise.repeated.sum()),
-        found=tuple(Found(plant, tuple(by_plant.get(number, ()))) for number, plant in enumerate(plants)),
-        empty=tuple(by_plant.get(-1, ())),
+        runs=len(light.runs),
+        units=len(observations),
+        units_with_repeats=int(noise.repeated.sum()),
+        found=tuple(Found(plant, tuple(by_plant.get(plant, ()))) for plant in plants),
+        empty=tuple(by_plant.get(None, ())),
         left_out=left_out,
         asked=len(jobs),
         done=sum(answer is not None for answer in answers),
-        seed=asked.seed,
+        seed=seed,
         seconds=time.monotonic() - began,
     )
 
 
-def _bench(campaign: Campaign, diagnosis: Diagnosis) -> _Bench:
-    observations = diagnosis.observations
-    simulated = observations.simulated
-    readings = np.where(np.isfinite(simulated), simulated, diagnosis.nominal.reading)
-    # logs are in the observations; without them a campaign is quick to hand over
-    light = replace(campaign.included(), logs=Logs.empty(len(campaign.included().runs)))
-    noise = own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance)
-    return _Bench(light, observations, readings, noise)
-
-
-def _jobs(plants: Sequence[Plant], families: dict[str, str], asked: Asked, n_units: int) -> Iterator[_Job]:
-    nothing = np.zeros((n_units, 6))
-    for turn in range(asked.planted):
-        for number in range(EMPTY_EACH):
-            yield _Job(-1, "", "", nothing, (asked.seed, 0, turn * EMPTY_EACH + number))
-        for place, plant in enumerate(plants):
-            effect = "" if plant.outside else plant.effect
-            change = plant.changes[turn % len(plant.changes)]
-            yield _Job(place, effect, families.get(effect, ""), change, (asked.seed, plant.key, turn))
-
-
-def _diagnosed(bench: _Bench, until_s: float, job: _Job) -> Answer | None:
+def _diagnosed(
+    campaign: Campaign,
+    observations: Observations,
+    readings: FloatArray,
+    noise: OwnNoise,
+    seed: int,
+    until_s: float,
+    job: _Job,
+) -> Answer | None:
     if time.monotonic() > until_s:
         return None
-    observed = _observed(bench, bench.readings + job.change, job.seeds)
+    plant, turn = job
+    effect, family, key = "", "", 0
+    if plant is not None:
+        readings, key = readings + plant.changes[turn % len(plant.changes)], plant.key
+        effect, family = ("", "") if plant.outside else (plant.effect, plant.family)
+    drawn = noise.draw(np.random.default_rng([abs(seed), key, turn]))
+    observed = _observed(observations, readings, drawn)
     try:
-        verdict = diagnose_in_full(bench.campaign, seed=job.seeds[-1], plan=False, observations=observed)
+        verdict = diagnose_in_full(campaign, seed=turn, plan=False, observations=observed)
     except RefusedError:
-        document: dict[str, object] = {"verdict": "undecided"}
-    else:
-        document = verdict.to_dict()
-    return answer_of(job.effect, job.family, document)
+        return answer_of(effect, family, {"verdict": "undecided"})
+    return answer_of(effect, family, verdict.to_dict())
 
 
-def _observed(bench: _Bench, readings: FloatArray, seeds: Sequence[int]) -> Observations:
-    observations = bench.observations
-    drawn = bench.noise.draw(np.random.default_rng([abs(seed) for seed in seeds]))
+def _observed(observations: Observations, readings: FloatArray, drawn: FloatArray) -> Observations:
     measured = readings + drawn
     # along and lateral are noise in the frame of the heading that is measured
     heading = np.where(observations.usable[:, 3], measured[:, 3], readings[:, 3])

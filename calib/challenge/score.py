@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -210,21 +210,14 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
 
 
 def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:
-    cases = [case for case in singles if case.signal == signal]
-    any_effect = _reached([(case.ceiling, case.first) for case in cases])
-    true_one = _reached([(case.own_ceiling, case.first) for case in cases])
-    keys = ("free", "gated", "hits_over_gated", "own_free", "own_gated", "hits_over_own_gated")
-    return dict(zip(keys, (*any_effect, *true_one), strict=True))
-
-
-def _reached(
-    cases: Sequence[tuple[tuple[float, float] | None, bool]],
-) -> tuple[float | None, float | None, float | None]:
-    both = [(ceiling, first) for ceiling, first in cases if ceiling is not None]
-    if not both:
-        return None, None, None
-    free, gated = np.mean([ceiling for ceiling, _ in both], axis=0).tolist()
-    return free, gated, float(np.mean([first for _, first in both])) / gated if gated > 0 else None
+    found: dict[str, float | None] = {}
+    for own in ("", "own_"):
+        of_cases = [(getattr(case, f"{own}ceiling"), case.first) for case in singles if case.signal == signal]
+        known = [(*ceiling, first) for ceiling, first in of_cases if ceiling is not None]
+        free, gated, first = np.mean(known, axis=0).tolist() if known else (None, None, None)
+        found |= {f"{own}free": free, f"{own}gated": gated}
+        found[f"hits_over_{own}gated"] = first / gated if gated else None
+    return found
 
 
 def _of(cases: list[Judged], group: str) -> list[Judged]:

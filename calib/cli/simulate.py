@@ -335,16 +335,16 @@ def own(
     """
     from calib.campaign.read import read_campaign
     from calib.challenge.own_plants import parse_sizes
-    from calib.challenge.own_runs import Asked, challenge_own
+    from calib.challenge.own_runs import challenge_own
     from calib.reporting.topics.fleet import own_content
 
     names = tuple(filter(None, map(str.strip, (effects or "").split(","))))
     if effects is not None and not names:
         raise BadInputError(f"--effects: found {effects!r}; expected effects with commas; 'calib effects' lists them")
-    asked = Asked(names, parse_sizes(sizes), planted, workers, seconds, seed)
-    campaign = read_campaign(folder)
+    how = {"planted": planted, "workers": workers, "seed": seed}
+    sized, campaign = parse_sizes(sizes), read_campaign(folder)
     with terminal.progress("planting") as tick:
-        own_score = challenge_own(campaign, asked, tick)
+        own_score = challenge_own(campaign, names, sized, seconds=seconds, progress=tick, **how)
     if own_score.done < own_score.asked:
         terminal.note(
             f"{seconds:g} s were enough for {own_score.done} of {own_score.asked} diagnoses; for more, raise --seconds"

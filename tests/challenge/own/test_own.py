@@ -10,7 +10,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.challenge.own_plants import parse_sizes, plants_of
 from calib.challenge.own_replay import Replay, own_noise, true_angles
-from calib.challenge.own_runs import Asked, answer_of, challenge_own
+from calib.challenge.own_runs import answer_of, challenge_own
 from calib.errors import BadInputError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
@@ -71,8 +71,8 @@ def test_a_front_wheel_is_replayed_at_its_true_angle(steered: Diagnosis) -> None
 
     # lines, left and right arcs have one angle each, their own; the fourth kind weaves
     constant = np.array([not kind.startswith("weave") for kind in steered.observations.labels["kind"]])
-    read = replay.route.steer_rad[1][constant]
-    travel = replay.route.front_m.sum(axis=0)[constant]
+    read = replay.steps["steer_rad"][1][constant]
+    travel = replay.steps["front_m"].sum(axis=0)[constant]
     wheelbase_m = steered.observations.vehicle.wheelbase_m
     wanted = travel * (np.sin((read - zero) / scale) - np.sin(read)) / wheelbase_m
     np.testing.assert_allclose(replay.change(other)[constant, 3], wanted, atol=1e-9)
@@ -89,22 +89,23 @@ def test_a_front_wheel_is_replayed_at_its_true_angle(steered: Diagnosis) -> None
 
 def test_true_angles_are_those_that_a_late_sensor_with_play_would_read(steered: Diagnosis) -> None:
     """The plant's own sensor, fed with the true angles, reads what was logged: late by 0.1 s, play of 0.02 rad."""
-    route = Replay.of(steered.observations).route
-    read = 0.3 * np.sin(0.3 * route.time_s)
+    replay = Replay.of(steered.observations)
+    time_s = replay.steps["time_s"]
+    read = 0.3 * np.sin(0.3 * time_s)
     worlds = [World.__new__(World) for _ in range(2)]
     for world, (play, delay) in zip(worlds, ((0.02, 0.0), (0.0, 0.1)), strict=True):
         world.steer_zero_rad, world.steer_scale = 0.0, 1.0
         world.steer_backlash_rad, world.steer_delay_s = np.full(read.shape[1], play), np.full(read.shape[1], delay)
-    with_play = true_angles(read, route.time_s, route.last, worlds[0])
+    with_play = true_angles(read, time_s, replay.last, worlds[0])
     shown, at = np.empty_like(read), read[0]
     for step, angle in enumerate(with_play):
         at = shown[step] = np.clip(at, angle - 0.01, angle + 0.01)
     # until 2 mrad of a move are over, its side is not known
     np.testing.assert_allclose(shown, read, atol=2.1e-3)
     assert np.abs(with_play - read).max() == pytest.approx(0.01)
-    late = true_angles(read, route.time_s, route.last, worlds[1])
-    middle = slice(10, int(route.last.min()) - 10)
-    np.testing.assert_allclose(late[middle], 0.3 * np.sin(0.3 * (route.time_s[middle] + 0.1)), atol=1e-4)
+    late = true_angles(read, time_s, replay.last, worlds[1])
+    middle = slice(10, int(replay.last.min()) - 10)
+    np.testing.assert_allclose(late[middle], 0.3 * np.sin(0.3 * (time_s[middle] + 0.1)), atol=1e-4)
 
 
 def test_a_slipping_front_wheel_counts_more_than_the_way(steered: Diagnosis) -> None:
@@ -196,7 +197,7 @@ def test_any_number_of_workers_gives_the_same_table(campaign: Campaign, monkeypa
     """A strong track width is found on a calibrated campaign's own noise; nothing depends on the processes."""
     monkeypatch.setattr("calib.challenge.own_runs.EMPTY_EACH", 2)
     asked = {"effects": ("track_width",), "sizes": parse_sizes("25s"), "planted": 1, "seed": 1}
-    one, two = (challenge_own(campaign, Asked(workers=workers, **asked)) for workers in (1, 2))
+    one, two = (challenge_own(campaign, workers=workers, **asked) for workers in (1, 2))
     assert one.done == one.asked == 3
     documents = [{k: v for k, v in own.to_dict().items() if k != "seconds"} for own in (one, two)]
     assert documents[0] == documents[1]
@@ -208,7 +209,7 @@ def test_any_number_of_workers_gives_the_same_table(campaign: Campaign, monkeypa
 
 def test_the_time_is_kept(campaign: Campaign) -> None:
     """With no time at all nothing is begun, and the table says so."""
-    own = challenge_own(campaign, Asked(effects=("track_width",), workers=1, seconds=0.0))
+    own = challenge_own(campaign, ("track_width",), workers=1, seconds=0.0)
     assert (own.done, own.planted, len(own.empty)) == (0, 0, 0)
     assert own.asked > 0
     assert own.trusted
