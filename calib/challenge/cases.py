@@ -17,7 +17,7 @@ from calib.plant.effects import find
 from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
 from calib.plant.world import Cause, Noise, random_noise
-from calib.types import BoolArray, FloatArray, grouped
+from calib.types import FloatArray, grouped
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: only positive sizes have a meaning
@@ -43,6 +43,17 @@ class Recipe:
     deleted: str = ""  #: deleted from the library
 
 
+#: allowed by the gate
+ALARMS: Final = 0.05
+
+
+class Ceiling(NamedTuple):
+    """What the best rule reaches on one campaign at one signal."""
+
+    free: float  #: share of true effects named, where there surely is one
+    gated: float  #: the same behind a gate that lets `ALARMS` of the empty campaigns through
+
+
 @dataclass(frozen=True, slots=True)
 class Truth:
     """What is true in a case; one entry of the sealed file."""
@@ -62,8 +73,8 @@ class Truth:
     model: OdometryModel
     n_runs: int
     #: see `Ceiling`: of all effects at this signal; of this one here, None where a recalibration absorbs it
-    ceiling: tuple[float, float] | None = None
-    own_ceiling: tuple[float, float] | None = None
+    ceiling: Ceiling | None = None
+    own_ceiling: Ceiling | None = None
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> "Truth":
@@ -145,13 +156,13 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     )
 
 
-def _ceilings(among: Alternatives, recipe: Recipe, seed: int) -> list[tuple[float, float] | None]:
+def _ceilings(among: Alternatives, recipe: Recipe, seed: int) -> list[Ceiling | None]:
     known, signal, cause = signatures(among), recipe.targets[0], among.cause
     drawn, drawn_of_own = (np.random.default_rng([seed, recipe.number, stream]) for stream in (3, 4))
     best, own = ceiling_of(known, signal, drawn, one_sign=ONE_SIGN), None
     if not is_calibration(cause):
-        own = ceiling_of_truth(known, cause.effect, among.left(0), signal, drawn_of_own, one_sign=ONE_SIGN)
-    return [None if one is None else (round(one.free, 3), round(one.gated, 3)) for one in (best, own)]
+        own = ceiling_of(known, signal, drawn_of_own, (cause.effect, among.left(0)), one_sign=ONE_SIGN)
+    return [one and Ceiling(round(one.free, 3), round(one.gated, 3)) for one in (best, own)]
 
 
 def campaigns_of(truth: Truth) -> tuple[Campaign, ...]:
@@ -163,21 +174,12 @@ def campaigns_of(truth: Truth) -> tuple[Campaign, ...]:
     return make_campaigns(design, truth.causes, rng, noise=truth.noise, model=truth.model, names=names)
 
 
-#: allowed by the gate
-ALARMS: Final = 0.05
 #: draws of effect and noise; the standard error of a share is then at most 0.018
 DRAWS: Final = 800
 #: directions weaker than this, relative to the strongest, are rounding
 RANK: Final = 1e-9
 #: evidences nearer than this are the same but for rounding
 ALIKE_NATS: Final = 1e-6
-
-
-class Ceiling(NamedTuple):
-    """What the best rule reaches on one campaign at one signal."""
-
-    free: float  #: share of true effects named, where there surely is one
-    gated: float  #: the same behind a gate that lets `ALARMS` of the empty campaigns through
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,63 +193,52 @@ def ceiling_of(
     signatures: Mapping[str, Sequence[FloatArray]],
     signal: float,
     rng: np.random.Generator,
+    true: tuple[str, FloatArray] | None = None,
     *,
     one_sign: Sequence[str] = (),
     draws: int = DRAWS,
 ) -> Ceiling | None:
-    """Return the ceiling of a campaign of equally likely effects; None where none leaves anything.
+    """Return the ceiling of a campaign of equally likely effects, or of one of them; None where nothing is left.
 
-    `signatures`: see `calib.plant.signal.signatures`; `signal`: norm of the true effect; `one_sign`: see `ONE_SIGN`.
+    Parameters
+    ----------
+    signatures : mapping of str to sequence of array
+        See `calib.plant.signal.signatures`.
+    signal : float
+        Norm of the true effect.
+    rng : Generator
+        Draws effect and noise.
+    true : (str, array), optional
+        The effect, and what it leaves in this case (n_rows,): how often the same rule names it; exact aliases share.
+    one_sign : sequence of str
+        See `ONE_SIGN`.
+    draws : int
+        How many.
     """
+    if true is not None and true[0] not in signatures:
+        signatures = {**signatures, true[0]: [true[1][:, None]]}
     spaces = _spaces(signatures, one_sign)
     if not spaces:
         return None
-    present, spaces, frame = _framed(spaces)
-    noise = rng.standard_normal((2, draws, frame.shape[1]))
-    truth = rng.integers(len(present), size=draws)
-    seen = noise[0] + signal * np.stack([_direction(spaces, int(effect), rng) for effect in truth])
-    evidence, passed = _weighed(spaces, len(present), seen, noise[1], signal)
-    largest = np.exp(evidence.max(axis=1) - _log_mean(evidence)) / len(present)
-    return Ceiling(float(largest.mean()), float((largest * passed).mean()))
-
-
-def ceiling_of_truth(
-    signatures: Mapping[str, Sequence[FloatArray]],
-    effect: str,
-    left: FloatArray,
-    signal: float,
-    rng: np.random.Generator,
-    *,
-    one_sign: Sequence[str] = (),
-    draws: int = DRAWS,
-) -> Ceiling:
-    """Return how often the same rule names one effect; exact aliases share.
-
-    `left` (n_rows,): what it leaves in this case; else see `ceiling_of`.
-    """
-    known = signatures if effect in signatures else {**signatures, effect: [left[:, None]]}
-    number = list(known).index(effect)
-    present, spaces, frame = _framed(_spaces(known, one_sign), left)
-    noise = rng.standard_normal((2, draws, frame.shape[1]))
-    seen = noise[0] + signal * (left @ frame) / np.linalg.norm(left)
-    evidence, passed = _weighed(spaces, len(present), seen, noise[1], signal)
-    tied = evidence > evidence.max(axis=1, keepdims=True) - ALIKE_NATS
-    hit = tied[:, present.index(number)] / tied.sum(axis=1)
-    return Ceiling(float(hit.mean()), float((hit * passed).mean()))
-
-
-def _weighed(
-    spaces: Sequence[_Space], n_effects: int, seen: FloatArray, empty: FloatArray, signal: float
-) -> tuple[FloatArray, BoolArray]:
-    evidence, of_noise = (_log_evidence(spaces, n_effects, readings, signal) for readings in (seen, empty))
-    return evidence, _log_mean(evidence) > np.quantile(_log_mean(of_noise), 1 - ALARMS)
-
-
-def _framed(spaces: Sequence[_Space], *further: FloatArray) -> tuple[list[int], list[_Space], FloatArray]:
-    present = sorted({space.effect for space in spaces})
-    every = [*(space.basis for space in spaces), *(vector[:, None] for vector in further)]
+    every = [space.basis for space in spaces] + ([] if true is None else [true[1][:, None]])
     frame, _ = np.linalg.qr(np.concatenate(every, axis=1))
-    return present, [_Space(present.index(s.effect), frame.T @ s.basis, s.one_sign) for s in spaces], frame
+    present = sorted({space.effect for space in spaces})
+    spaces = [_Space(present.index(s.effect), frame.T @ s.basis, s.one_sign) for s in spaces]
+    noise = rng.standard_normal((2, draws, frame.shape[1]))
+    if true is None:
+        drawn = rng.integers(len(present), size=draws)
+        shown = np.stack([_direction(spaces, int(effect), rng) for effect in drawn])
+    else:
+        shown = (true[1] @ frame) / np.linalg.norm(true[1])
+    seen = (noise[0] + signal * shown, noise[1])
+    evidence, of_noise = (_log_evidence(spaces, len(present), readings, signal) for readings in seen)
+    passed = _log_mean(evidence) > np.quantile(_log_mean(of_noise), 1 - ALARMS)
+    if true is None:
+        hit = np.exp(evidence.max(axis=1) - _log_mean(evidence)) / len(present)
+    else:
+        tied = evidence > evidence.max(axis=1, keepdims=True) - ALIKE_NATS
+        hit = tied[:, present.index(list(signatures).index(true[0]))] / tied.sum(axis=1)
+    return Ceiling(float(hit.mean()), float((hit * passed).mean()))
 
 
 def _spaces(signatures: Mapping[str, Sequence[FloatArray]], one_sign: Sequence[str]) -> list[_Space]:

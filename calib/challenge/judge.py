@@ -196,3 +196,41 @@ def _strong(truth: Truth) -> list[str]:
 def grouped_with(effect: str, named: Sequence[str], groups: Sequence[set[str]]) -> bool:
     """Return whether an effect is named, or stands in a group with a named one."""
     return effect in named or any(effect in group and group & set(named) for group in groups)
+
+
+SILENT: Final = ("no_gap", "undecided", "unknown")
+UNSEEN: Final = ("no_gap", "undecided")
+#: families with nothing in common but the name
+NO_FAMILY: Final = ("own", "covariate", "")
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """How one planted campaign went."""
+
+    verdict: str
+    seen: bool
+    first: bool  #: the planted effect is named first
+    in_group: bool  #: it, one of its group, or its family is named
+    open: bool  #: see `OPEN`
+    #: others alone are named; of an outside cause: a fix is recommended
+    wrong: bool
+
+
+def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
+    """Hold a verdict's JSON against the effect planted, if any."""
+    word = str(verdict["verdict"])
+    causes = list(verdict.get("causes", ()))
+    named = [str(cause["effect"]) for cause in causes]
+    families = {str(cause.get("family", "")) for cause in causes[:1]} - set(NO_FAMILY)
+    together = family in families or grouped_with(effect, named, groups_of(verdict, causes))
+    named_wrongly = bool(named) and word not in SILENT and not together
+    return Answer(
+        verdict=word,
+        seen=word not in UNSEEN,
+        first=named[:1] == [effect],
+        in_group=together,
+        open=word in OPEN,
+        # of an outside cause wrong is what would be acted upon
+        wrong=named_wrongly if effect else bool(verdict.get("recommended", False)),
+    )

@@ -5,12 +5,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
-from typing import Final
+from typing import Any, Final
 from zlib import crc32
 
 import numpy as np
 
 from calib.challenge.cases import ONE_SIGN
+from calib.challenge.judge import Answer
 from calib.challenge.own_replay import Replay
 from calib.errors import BadInputError
 from calib.gap.decision.diagnosis import Diagnosis
@@ -107,12 +108,8 @@ _SIZE: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-
 _RELATIVE_STEP: Final = 1e-4
 
 
-@dataclass(frozen=True, slots=True)
-class Size:
-    """How large an effect is planted."""
-
-    value: float
-    scale: str  #: ``s``: a signal; ``x``: times the typical size; empty: in the effect's unit
+#: how large an effect is planted; ``s``: a signal; ``x``: times the typical size; empty: in the effect's unit
+Size = tuple[float, str]
 
 
 def parse_sizes(text: str) -> tuple[Size, ...]:
@@ -125,13 +122,13 @@ def parse_sizes(text: str) -> tuple[Size, ...]:
                 f"sizes: found {part.strip()!r:.40}; expected numbers separated by commas, each as 10s (a "
                 "signal of 10), 2x (twice the typical size) or 0.01 (in the effect's unit); write them so"
             )
-        sizes.append(Size(float(match[1]), match[2]))
+        sizes.append((float(match[1]), match[2]))
     return tuple(sizes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plant:
-    """One effect at one size."""
+    """One effect at one size, and what was found of it."""
 
     effect: str  #: id of the effect, or name of the outside cause
     form: str
@@ -142,6 +139,26 @@ class Plant:
     signal: float  #: beside these runs' noise, after a recalibration
     #: shape (n_units, 6): what it does to the readings, by either sign that has a meaning
     changes: tuple[FloatArray, ...]
+    answers: tuple[Answer, ...] = ()  #: how the campaigns with it went
+
+    def times(self, what: str) -> int:
+        """Return how often a field of `Answer` is true."""
+        return sum(getattr(answer, what) for answer in self.answers)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        document = {
+            "size": self.size,
+            "unit": self.unit,
+            "signal": round(self.signal, 2),
+            "planted": len(self.answers),
+            "seen": self.times("seen"),
+            "left_open": self.times("open"),
+            "wrong": self.times("wrong"),
+        }
+        if self.outside:
+            return document
+        return document | {"form": self.form, "first": self.times("first"), "in_group": self.times("in_group")}
 
     @property
     def key(self) -> int:
@@ -262,14 +279,14 @@ def _sized(
     if not left > ABSORBED * whole:
         return [], "these runs cannot show it" + (": a recalibration takes it up" if whole > 0 else "")
     plants = []
-    for size in sizes:
+    for wanted, scale in sizes:
         # an outside cause has no unit
-        if given.outside and size.scale != "s":
+        if given.outside and scale != "s":
             continue
-        value = {"s": given.typical * size.value / left, "x": given.typical * size.value}.get(size.scale, size.value)
-        for _ in range(3 if size.scale == "s" else 0):
+        value = {"s": given.typical * wanted / left, "x": given.typical * wanted}.get(scale, wanted)
+        for _ in range(3 if scale == "s" else 0):
             reached = _signal(diagnosis, change(value), free)
-            value *= (size.value / max(reached, 1e-9)) ** (0.5 if given.effect == "beam_misalignment" else 1.0)
+            value *= (wanted / max(reached, 1e-9)) ** (0.5 if given.effect == "beam_misalignment" else 1.0)
         value = float(f"{value:.4g}")
         signs = (1.0,) if given.effect in ONE_SIGN else (1.0, -1.0)
         changes = tuple(change(sign * value) for sign in signs)

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign, Logs
-from calib.challenge.judge import OPEN, grouped_with, groups_of
+from calib.challenge.judge import Answer, answer_of
 from calib.challenge.own_plants import Plant, Size, parse_sizes, plants_of
 from calib.challenge.own_replay import OwnNoise, Replay, own_noise
 from calib.challenge.score import clopper_pearson
@@ -20,75 +20,9 @@ from calib.gap.diagnose import diagnose_in_full
 from calib.gap.observations.arrays import Observations
 from calib.types import FloatArray, Progress, grouped, silent
 
-SILENT: Final = ("no_gap", "undecided", "unknown")
-UNSEEN: Final = ("no_gap", "undecided")
-#: families with nothing in common but the name
-NO_FAMILY: Final = ("own", "covariate", "")
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """How one planted campaign went."""
-
-    verdict: str
-    seen: bool
-    first: bool  #: the planted effect is named first
-    in_group: bool  #: it, one of its group, or its family is named
-    open: bool  #: see `calib.challenge.judge.OPEN`
-    #: others alone are named; of an outside cause: a fix is recommended
-    wrong: bool
-
-
-def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
-    """Hold a verdict's JSON against the effect planted, if any."""
-    word = str(verdict["verdict"])
-    causes = list(verdict.get("causes", ()))
-    named = [str(cause["effect"]) for cause in causes]
-    families = {str(cause.get("family", "")) for cause in causes[:1]} - set(NO_FAMILY)
-    together = family in families or grouped_with(effect, named, groups_of(verdict, causes))
-    named_wrongly = bool(named) and word not in SILENT and not together
-    return Answer(
-        verdict=word,
-        seen=word not in UNSEEN,
-        first=named[:1] == [effect],
-        in_group=together,
-        open=word in OPEN,
-        # of an outside cause wrong is what would be acted upon
-        wrong=named_wrongly if effect else bool(verdict.get("recommended", False)),
-    )
-
-
 FORMAT: Final = "calib-challenge-own/1"
 #: largest share of false alarms, or wrong names
 ALLOWED: Final = 0.05
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """What was found of one effect at one size."""
-
-    plant: Plant
-    answers: tuple[Answer, ...]
-
-    def times(self, what: str) -> int:
-        """Return how often a field of `Answer` is true."""
-        return sum(getattr(answer, what) for answer in self.answers)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return it as plain JSON values."""
-        plant = self.plant
-        document = {
-            "size": plant.size,
-            "unit": plant.unit,
-            "signal": round(plant.signal, 2),
-            "planted": len(self.answers),
-            "seen": self.times("seen"),
-            "left_open": self.times("open"),
-            "wrong": self.times("wrong"),
-        }
-        if plant.outside:
-            return document
-        return document | {"form": plant.form, "first": self.times("first"), "in_group": self.times("in_group")}
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +36,7 @@ class Own:
     runs: int
     units: int
     units_with_repeats: int
-    found: tuple[Found, ...]
+    found: tuple[Plant, ...]
     empty: tuple[Answer, ...]  #: on campaigns with nothing planted
     left_out: Mapping[str, str]
     #: diagnoses, and those in time
@@ -134,10 +68,10 @@ class Own:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        tables: dict[str, dict[str, list[Found]]] = {"effects": {}, "outsiders": {}}
-        for found in self.found:
-            table = tables["outsiders" if found.plant.outside else "effects"]
-            table.setdefault(found.plant.effect, []).append(found)
+        tables = {
+            name: grouped((plant.effect, plant) for plant in self.found if plant.outside == outside)
+            for name, outside in (("effects", False), ("outsiders", True))
+        }
         low, high = clopper_pearson(self.raised, len(self.empty))
         return {
             "format": FORMAT,
@@ -227,7 +161,7 @@ def challenge_own(
         runs=len(light.runs),
         units=len(observations),
         units_with_repeats=int(noise.repeated.sum()),
-        found=tuple(Found(plant, tuple(by_plant.get(plant, ()))) for plant in plants),
+        found=tuple(replace(plant, answers=tuple(by_plant.get(plant, ()))) for plant in plants),
         empty=tuple(by_plant.get(None, ())),
         left_out=left_out,
         asked=len(jobs),

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from calib.challenge.cases import ceiling_of, ceiling_of_truth
+from calib.challenge.cases import ceiling_of
 
 #: standard error of a share over 4,000 draws is at most 0.008; three of them
 DRAWN = 0.025
@@ -68,7 +68,7 @@ def test_the_own_ceiling_of_two_effects_a_known_way_apart_is_the_normal_distribu
     for effect, left in (("a", one[:, 0]), ("b", other[:, 0])):
         rng = np.random.default_rng(6)
         known = {"a": [one], "b": [other]}
-        reached = ceiling_of_truth(known, effect, left, signal, rng, one_sign=("a", "b"), draws=4000)
+        reached = ceiling_of(known, signal, rng, (effect, left), one_sign=("a", "b"), draws=4000)
         assert reached.free == pytest.approx(_phi(apart / 2), abs=DRAWN)
         assert reached.gated <= reached.free
 
@@ -79,13 +79,13 @@ def test_of_effects_that_leave_the_same_each_is_named_as_often_and_one_of_one_si
     alike = {"a": [line], "b": [3.0 * line]}
     strong = 20.0
     for effect in alike:
-        assert ceiling_of_truth(alike, effect, line[:, 0], strong, np.random.default_rng(7)).free == EVEN
-    named = [ceiling_of_truth(alike, e, line[:, 0], strong, np.random.default_rng(8), one_sign=("b",)) for e in alike]
+        assert ceiling_of(alike, strong, np.random.default_rng(7), (effect, line[:, 0])).free == EVEN
+    named = [ceiling_of(alike, strong, np.random.default_rng(8), (e, line[:, 0]), one_sign=("b",)) for e in alike]
     assert [reached.free for reached in named] == [0.0, 1.0]
 
 
 def test_an_effect_outside_the_library_is_known_by_what_it_leaves() -> None:
     """A direction of its own, far from the library's: a strong one is always named."""
     left = np.array([0.0, 0.0, 1.0])
-    reached = ceiling_of_truth({"a": [np.eye(3)[:, :1]]}, "zone", left, 15.0, np.random.default_rng(9))
+    reached = ceiling_of({"a": [np.eye(3)[:, :1]]}, 15.0, np.random.default_rng(9), ("zone", left))
     assert reached.free == reached.gated == 1.0

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.challenge.own_runs import NO_FAMILY
+from calib.challenge.judge import NO_FAMILY
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.library import effect_class
 from calib.gap.observations.from_campaign import observations_of

@@ -183,10 +183,9 @@ def own_content(own: "Own") -> list[Block]:
     """Return what was found, as blocks."""
     head = ("*Planted", "Size", "<Unit", "Signal", "Times", "Seen")
     rows: dict[bool, list[tuple[str, ...]]] = {False: [], True: []}
-    for found in own.found:
-        plant = found.plant
+    for plant in own.found:
         counted = ("open", "wrong") if plant.outside else ("first", "in_group", "wrong")
-        counts = (str(len(found.answers)), *(str(found.times(what)) for what in ("seen", *counted)))
+        counts = (str(len(plant.answers)), *(str(plant.times(what)) for what in ("seen", *counted)))
         rows[plant.outside].append((plant.effect, f"{plant.size:.3g}", plant.unit, f"{plant.signal:.1f}", *counts))
     low, high = (f"{bound:.0%}" for bound in clopper_pearson(own.raised, len(own.empty)))
     sentences = [
