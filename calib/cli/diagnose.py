@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from calib.cli import terminal
 from calib.cli.terminal import Place, Text, Texts, arg, opt
 from calib.errors import BadInputError, RefusedError, refuse_workers
+from calib.reporting.blocks import drawn, named
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
 
 
 RESULT_FILE = "diagnosis.json"
-Simulator = Annotated[Place, opt("SIM.toml", "Your own simulator: its command, which is run, and its parameters.")]
-Workers = Annotated[int, opt("N", "Runs of the simulator at once.", "--workers", min=1)]
 
 
 def run(
@@ -31,8 +30,10 @@ def run(
     html: Annotated[Place, opt("FILE", "Write one interactive page, with linked panels.")] = None,
     into: Annotated[Place, opt("FOLDER", "Result folder: diagnosis.json.")] = None,
     journeys: Annotated[Place, opt("PLAN", "Runs to come, to compare the corrections of tied causes on.")] = None,
-    simulator: Simulator = None,
-    workers: Workers = 1,
+    simulator: Annotated[
+        Place, opt("SIM.toml", "Your own simulator: its command, which is run, and its parameters.")
+    ] = None,
+    workers: Annotated[int, opt("N", "Runs of the simulator at once.", "--workers", min=1)] = 1,
     mapping: terminal.MappingOption = None,
 ) -> int:
     """Say where the gap between measured and simulated motion lies, and which unmodelled effect causes it.
@@ -50,7 +51,7 @@ def run(
     from calib.reporting.topics.diagnosis import GAP_FIGURES, after_diagnosis, diagnosis_full
 
     result = None if into is None else into / RESULT_FILE
-    terminal.refuse_outputs(apply, html, result, *terminal.figure_files(figures, GAP_FIGURES))
+    terminal.refuse_outputs(apply, html, result, figures=figures, names=GAP_FIGURES)
     if simulator is not None and (model or journeys):
         name = "--model" if model else "--journeys"
         raise BadInputError(f"{name}: found it beside --simulator, which is judged instead; give one of them")
@@ -75,10 +76,7 @@ def run(
         with terminal.waiting("making the page"):
             page = diagnosis_page(diagnosis, read)
         terminal.save(html, page)
-    if figures is not None:
-        from calib.reporting.figures.gap import gap_figures
-
-        terminal.draw(lambda: gap_figures(diagnosis), figures)
+    terminal.draw(figures, lambda: named("figures", "gap.gap_figures")(diagnosis))
     terminal.emit_json(document)
     applied = "" if apply is None else _apply(diagnosis, read, effects, apply)
     step = applied or after_diagnosis(diagnosis, simulator=simulator is not None)
@@ -183,14 +181,13 @@ def effects(
         nominal, entries, runs = _catalogued(effect, campaign)
     shown = {f"signature-{one.effect.id}": one.signature for one in entries if one.signature is not None}
     drawable = {name.replace(":", "-"): signature for name, signature in shown.items()}
-    terminal.refuse_outputs(*terminal.figure_files(figures, drawable))
+    terminal.refuse_outputs(figures=figures, names=drawable)
     from calib.reporting.topics.diagnosis import effect_content, effects_content
 
     terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
-    if figures is not None:
-        from calib.reporting.figures.gap import signature_figure
-
-        terminal.draw(lambda: {name: signature_figure(one, nominal) for name, one in drawable.items()}, figures)
+    terminal.draw(
+        figures, lambda: {name: drawn("gap.signature_figure", one, nominal) for name, one in drawable.items()}
+    )
     terminal.then("effects EFFECT" if effect else "effects", c=campaign or "CAMPAIGN")
     terminal.emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]})
 
@@ -264,17 +261,14 @@ def _judge(source: Path, figures: Path | None) -> None:
     from calib.gap.plan.next_runs import read_plan
     from calib.reporting.topics.diagnosis import outlook_content, promise_table
 
-    terminal.refuse_outputs(*terminal.figure_files(figures, ["plan-matrix"]))
+    terminal.refuse_outputs(figures=figures, names=["plan-matrix"])
     with terminal.progress("judging the plan") as tick:
         planned = read_plan(source)
         outlook = outlook_of(planned, progress=tick)
         promise = promised(planned)
     content = outlook_content(planned.name, len(planned.runs), outlook)
     terminal.show((*content, *([promise_table(None, promise)] if promise else [])))
-    if figures is not None:
-        from calib.reporting.figures.gap import plan_matrix
-
-        terminal.draw(lambda: {"plan-matrix": plan_matrix(outlook)}, figures)
+    terminal.draw(figures, lambda: {"plan-matrix": drawn("gap.plan_matrix", outlook)})
     terminal.then("plan --from")
     geometry = promise and promise.to_dict()
     terminal.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict(), "geometry": geometry})

@@ -30,13 +30,6 @@ VelocityFeedback = Annotated[
 OpenLoop = Annotated[bool, opt(None, "ROS 2: odometry from the commands, not from the encoders.", "--open-loop")]
 
 KNOWN = (*FORMATS, *OTHER_FORMATS)
-Output = Annotated[
-    Place, opt(None, "File, or folder where several files are made; without it, or '-': standard output.")
-]
-Outside = Annotated[Text, opt("RULE", "Loads that were not measured: refuse (the default) or clamp.")]
-Model = Annotated[Place, opt("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")]
-Left = Annotated[str, opt("NAME", "Joint, body or link of the left rear wheel in MODEL.")]
-Right = Annotated[str, opt("NAME", "The same of the right rear wheel.")]
 
 
 def export(
@@ -44,14 +37,18 @@ def export(
         Path, arg("CAMPAIGN|FIT", "Campaign, result folder of calib fit or geometry, its JSON, or coefficients.json.")
     ],
     to: Annotated[str, opt("FORMAT", f"{', '.join(KNOWN)}; json is the master.")],
-    output: Output = None,
+    output: Annotated[
+        Place, opt(None, "File, or folder where several files are made; without it, or '-': standard output.")
+    ] = None,
     load: Loads = None,
-    outside: Outside = None,
+    outside: Annotated[Text, opt("RULE", "Loads that were not measured: refuse (the default) or clamp.")] = None,
     date: Annotated[Text, opt("YYYY-MM-DD", "Date written into the file.")] = None,
     controller: Controllers = None,
-    model: Model = None,
-    left: Left = "",
-    right: Right = "",
+    model: Annotated[
+        Place, opt("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")
+    ] = None,
+    left: Annotated[str, opt("NAME", "Joint, body or link of the left rear wheel in MODEL.")] = "",
+    right: Annotated[str, opt("NAME", "The same of the right rear wheel.")] = "",
     velocity_feedback: VelocityFeedback = False,
     open_loop: OpenLoop = False,
     accept_implausible: terminal.AcceptImplausible = "",
@@ -198,7 +195,7 @@ def _refuse_targets(source: Path, into: Path | None, figures: Path | None) -> No
         from calib.reporting.pages import GAP_PICTURES
         from calib.reporting.topics.fit import FIT_PICTURES
 
-        terminal.refuse_outputs(*terminal.figure_files(figures, (*FIT_PICTURES, *GAP_PICTURES)))
+        terminal.refuse_outputs(figures=figures, names=(*FIT_PICTURES, *GAP_PICTURES))
 
 
 def _page(report: "Report", given: "Fit | Campaign", tick: "Progress") -> str:

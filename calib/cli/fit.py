@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from calib.cli import terminal
 from calib.cli.terminal import Count, Number, Numbers, Place, Text, Texts, arg, opt
 from calib.errors import BadInputError
+from calib.reporting.blocks import drawn
 
 if TYPE_CHECKING:
     from calib.coefficients.build import Source
@@ -42,7 +43,7 @@ def fit(
     from calib.reporting.topics.fit import FIT_PICTURES, after_fit, fit_content, fit_pictures
 
     results = [] if into is None else [into / FIT_FILE, into / RUNS_FILE]
-    terminal.refuse_outputs(*results, *terminal.figure_files(figures, FIT_PICTURES))
+    terminal.refuse_outputs(*results, figures=figures, names=FIT_PICTURES)
     believed, reference_load = _believed(model, reference_load)
     with terminal.progress("fitting") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
@@ -57,8 +58,7 @@ def fit(
     if not terminal.wants_stdout():
         terminal.show(content)
     terminal.wrote([] if into is None else [write_result(fitted, into, force=terminal.forced())])
-    if figures is not None:
-        terminal.draw(lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, figures)
+    terminal.draw(figures, lambda: {one.name: one.draw() for one in fit_pictures(fitted)})
     terminal.emit_json(document)
     terminal.then(after_fit(fitted), c=campaign)
     return 0 if fitted.passed else 1
@@ -123,7 +123,7 @@ def geometry(
 
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
     result = into / GEOMETRY_FILE if into is not None else None
-    terminal.refuse_outputs(output, result, *terminal.figure_files(figures, [PICTURE]))
+    terminal.refuse_outputs(output, result, figures=figures, names=[PICTURE])
     with terminal.progress("estimating") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out, progress=tick)
@@ -134,10 +134,9 @@ def geometry(
     terminal.save(result, document)
     if figures is not None:
         from calib.kinematics.assemble import traces_of
-        from calib.reporting.figures.calibration import draw_paths
 
-        paths = traces_of(read, estimated)
-        terminal.draw(lambda: {PICTURE: draw_paths(paths, simulated=estimated.simulated)}, figures)
+        paths, how = traces_of(read, estimated), {"simulated": estimated.simulated}
+        terminal.draw(figures, lambda: {PICTURE: drawn("calibration.draw_paths", paths, **how)})
     terminal.emit_json(document)
     if output is not None:
         terminal.save(output, from_geometry(estimated, read, accept=accept).to_bytes())
@@ -261,15 +260,11 @@ def loads(
         near = "" if sweep in COLUMNS else terminal.nearest(sweep, COLUMNS)
         raise BadInputError(f"--sweep: found {sweep!r}; expected payload, x or y, with --from and --to{near}")
     stem = STEMS.get(sweep or "", "loads")
-    terminal.refuse_outputs(*terminal.figure_files(figures, [stem]))
+    terminal.refuse_outputs(figures=figures, names=[stem])
     swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
     placed = (value or 0.0 for value in at.values())
     swept = sweep_loads(meant, *placed, swept=swept_column, span=span, steps=21 if steps is None else steps)
-    written: list[Path] = []
-    if figures is not None:
-        from calib.reporting.figures.motion import load_figure
-
-        written = terminal.draw(lambda: {stem: load_figure(swept)}, figures)
+    written = terminal.draw(figures, lambda: {stem: drawn("motion.load_figure", swept)})
     document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
     terminal.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
     terminal.then("loads")

@@ -1,7 +1,6 @@
 """``calib simulate``: routes, journeys under a law, studies, replays; ``calib challenge``: a blind check."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
@@ -27,32 +26,50 @@ Track = Annotated[Number, opt("M", "Track that the odometry believes (0.7, or th
 Draws = Annotated[int, opt(None, "Draws of the Monte Carlo.", "--draws")]
 Output = Annotated[Place, opt("FOLDER", "Write figures and tables there.", "--output")]
 Tum = Annotated[Place, opt("FOLDER", "Write trajectories there, TUM format.", "--tum")]
-Speed = Annotated[float, opt("M/S", "Speed that times the trajectories.", "--speed")]
 
 
-@dataclass(frozen=True, slots=True)
-class Targets:
-    """Where a simulation goes: folders of figures and of trajectories, and the speed that times these."""
+def _above_zero(speed_mps: float) -> float:
+    if not speed_mps > 0.0:
+        raise BadInputError(f"--speed: found {speed_mps!r}; expected a speed above 0 m/s")
+    return speed_mps
 
-    output: Path | None
-    tum: Path | None
-    speed_mps: float
 
-    def __post_init__(self) -> None:
-        if not self.speed_mps > 0.0:
-            raise BadInputError(f"--speed: found {self.speed_mps!r}; expected a speed above 0 m/s")
+Speed = Annotated[float, opt("M/S", "Speed that times the trajectories.", "--speed", callback=_above_zero)]
 
 
 def finish(
-    simulation: "Simulation", targets: Targets, *, seed: int, notes: Sequence[str] = (), law: Path | None = None
+    simulation: "Simulation",
+    output: Path | None,
+    tum: Path | None,
+    speed_mps: float,
+    *,
+    seed: int,
+    notes: Sequence[str] = (),
+    law: Path | None = None,
 ) -> None:
-    """Write what was asked for, and show the simulation; see `simulate`; `law`: where the vehicle's law came from."""
+    """Write what was asked for, and show the simulation; see `simulate`.
+
+    Parameters
+    ----------
+    simulation : Simulation
+        What was driven.
+    output, tum : Path or None
+        Folders of figures and of trajectories.
+    speed_mps : float
+        Times the trajectories.
+    seed : int
+        What was drawn with.
+    notes : sequence of str
+        Of the law's source.
+    law : Path, optional
+        Where the vehicle's law came from.
+    """
     from calib.reporting.topics.simulation import simulation_content, simulation_trajectories, write_simulation
 
     force = terminal.forced()
-    written = [] if targets.output is None else write_simulation(simulation, targets.output, force=force)
-    if targets.tum is not None:
-        written += simulation_trajectories(simulation, targets.tum, speed_mps=targets.speed_mps, force=force)
+    written = [] if output is None else write_simulation(simulation, output, force=force)
+    if tum is not None:
+        written += simulation_trajectories(simulation, tum, speed_mps=speed_mps, force=force)
     every_note = [*notes, *(simulation.law.notes if simulation.law else ())]
     _tell(simulation.to_dict() | {"seed": seed}, simulation_content(simulation), every_note, written)
     terminal.then("simulate --law" if law else "simulate", c=law or "")
@@ -95,7 +112,6 @@ def route(
     from calib.odometry.simulation import CUSTOM, Case, simulate
     from calib.vehicle import Vehicle
 
-    targets = Targets(output, tum, speed)
     vehicle = Vehicle()
     if not ratio:
         terminal.refuse_options("without --ratio", {"--wheel": which})
@@ -114,7 +130,7 @@ def route(
         )
     track_m, rng = vehicle.track_m if track is None else track, np.random.default_rng(0)
     simulation = simulate(CUSTOM, routes=route or (), cases=cases, track_m=track_m, real_track_m=real_track, rng=rng)
-    finish(simulation, targets, seed=0)
+    finish(simulation, output, tum, speed, seed=0)
 
 
 def journey(
@@ -143,7 +159,6 @@ def journey(
     from calib.odometry.routes import carried_loads_N, loading_on_the_way
     from calib.odometry.simulation import CUSTOM, LawJourneys, simulate
 
-    targets = Targets(output, tum, speed)
     base = terminal.numbers(reference, 2, "--reference-load") if reference else ()
     loads_N = terminal.pairs(load, "--load")
     carried = [terminal.numbers(text, 3, "--payload") for text in payload or ()]
@@ -157,7 +172,7 @@ def journey(
         under = LawJourneys(source, loads_N, (base[0], base[1]) if base else None, loading, draws)
         rng = np.random.default_rng(seed)
         simulation = simulate(CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=rng)
-    finish(simulation, targets, seed=seed, notes=source.notes, law=law)
+    finish(simulation, output, tum, speed, seed=seed, notes=source.notes, law=law)
 
 
 def study(
@@ -185,7 +200,6 @@ def study(
     from calib.odometry.simulation import STUDIES, LawJourneys, simulate
     from calib.vehicle import Vehicle
 
-    targets = Targets(output, tum, speed)
     if name not in STUDIES:
         near = terminal.nearest(name, STUDIES)
         raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}{near}")
@@ -201,7 +215,7 @@ def study(
     with terminal.waiting("simulating"):
         under = None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws)
         simulation = simulate(name, routes=route or (), track_m=track_m, under=under, rng=rng)
-    finish(simulation, targets, seed=seed, notes=() if source is None else source.notes, law=law)
+    finish(simulation, output, tum, speed, seed=seed, notes=() if source is None else source.notes, law=law)
 
 
 def replay(

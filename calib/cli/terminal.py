@@ -78,9 +78,17 @@ def refuse_options(how: str, options: Mapping[str, object]) -> None:
             raise BadInputError(f"{name}: found {how}; expected {expected}; leave it out")
 
 
-def refuse_outputs(*targets: Path | None) -> None:
-    """Refuse output files, that of ``--json`` too, before the work; see `calib.io.refuse_existing`."""
-    refuse_existing([JSON_TARGET.get(), *targets], force=forced())
+def refuse_outputs(*targets: Path | None, figures: Path | None = None, names: Iterable[str] = ()) -> None:
+    """Refuse output files, that of ``--json`` too, before the work; see `calib.io.refuse_existing`.
+
+    `figures`, `names`: folder of figures, if any, and their names.
+    """
+    drawn: list[Path] = []
+    if figures is not None:
+        from calib.reporting.figures.style import figure_paths
+
+        drawn = figure_paths(figures, names)
+    refuse_existing([JSON_TARGET.get(), *targets, *drawn], force=forced())
 
 
 def emit_json(value: Any) -> None:
@@ -178,17 +186,10 @@ def save(path: Path | None, content: Any) -> None:
         wrote([write(path, content, force=forced())])
 
 
-def figure_files(folder: Path | None, names: Iterable[str]) -> list[Path]:
-    """Return the files that figures are written to; none without a folder."""
+def draw(folder: Path | None, figures: "Callable[[], Mapping[str, Figure]]") -> list[Path]:
+    """Draw figures and write them into a folder, where one is named; return their files."""
     if folder is None:
         return []
-    from calib.reporting.figures.style import figure_paths
-
-    return figure_paths(folder, names)
-
-
-def draw(figures: "Callable[[], Mapping[str, Figure]]", folder: Path) -> list[Path]:
-    """Draw figures and write them into a folder; return their files."""
     from calib.reporting.figures.style import write_figures
 
     with progress("drawing") as tick:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby, zip_longest
 from typing import Final
 
+from calib.reporting import blocks as made_of
 from calib.reporting.blocks import Block, Column, Equation, Facts, Heading, Items, Notice, Picture, Section, Table, Text
 
 MISSING: Final = "–"
@@ -173,11 +174,7 @@ WIDTH: Final = 80
 #: widest names in a list of facts
 _NAME: Final = 26
 _SIGNS: Final = str.maketrans({"−": "-", "→": "->", "\u2007": " ", "\u2008": " ", "\u200b": "", "\u00a0": " "})
-EQUATIONS: Final = {
-    "effective_radius": "rₑ = Sₒ (1 + e) / (2 π n)",
-    "law": "rₑ(F) = r₀ + s (F − F₀)",
-    "law_uncertainty": "u²(rₑ) = u²(r₀) + 2 (F − F₀) u(r₀, s) + (F − F₀)² u²(s)",
-}
+EQUATIONS: Final = made_of.catalogue()["equation"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """Figures of wheel loads, of Section 7, of errors along a path, and of calibrated paths."""
 
 from collections.abc import Sequence
-from typing import Final, Literal, TypedDict
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,26 +15,11 @@ from calib.odometry.poses import COMPONENTS, ellipses
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import Sweep, TableRow
 from calib.radius.law import WheelLaw
+from calib.reporting.blocks import catalogue
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, SKY, canvas, colour, figure_title, round_down, styled
 from calib.vehicle import LoadSweep
 
-Dash = Literal["-", "--", ":"]
-
-
-class _LineStyle(TypedDict):
-    color: str
-    linestyle: Dash
-    linewidth: float
-
-
-DASHES: Final[dict[str, Dash]] = {"right": "-", "left": "--", "both": ":", "equal": "-", "given": "-"}
-
-_SWEEP_LABELS: Final = {
-    "payload_kg": "payload (kg)",
-    "payload_x_m": "payload ahead of the rear axle, x (m)",
-    "payload_y_m": "payload left of the centre line, y (m)",
-    "": "payload (kg)",
-}
+DASHES: Final[dict[str, Any]] = {"right": "-", "left": "--", "both": ":", "equal": "-", "given": "-"}
 
 
 @styled
@@ -42,16 +27,17 @@ def load_figure(sweep: LoadSweep) -> Figure:
     """Return the wheel loads over a sweep (Fig. 3)."""
     figure = canvas(8.0, 11.0)
     axes = figure.add_subplot()
-    along = getattr(sweep, sweep.swept or "payload_kg")
+    swept = sweep.swept or "payload_kg"
+    along = getattr(sweep, swept)
     for side, tint, dash in (("left", BLUE, "-"), ("right", ORANGE, "--"), ("front", GREY, ":")):
         axes.plot(along, getattr(sweep, f"{side}_N"), dash, color=tint, label=f"{side} wheel", linewidth=1.6)
-    axes.set(xlabel=_SWEEP_LABELS[sweep.swept], ylabel="wheel load (N)")
+    axes.set(xlabel=catalogue()["sweep"][swept], ylabel="wheel load (N)")
     axes.set_ylim(bottom=0.0)
     axes.legend()
     return figure
 
 
-def _sweep_styles(sweep: Sweep) -> list[_LineStyle]:
+def _sweep_styles(sweep: Sweep) -> list[Any]:
     shades = _shades(sweep)
     return [{"color": shades[c.ratio], "linestyle": DASHES[c.which], "linewidth": 1.3} for c in sweep.cases]
 
@@ -146,8 +132,8 @@ _AXES: Final = {
 }
 
 #: how the paths of a journey under a law are drawn
-_WITHOUT: Final[_LineStyle] = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
-_WITH: Final[_LineStyle] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3}
+_WITHOUT: Final[Any] = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
+_WITH: Final[Any] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3}
 
 
 @styled

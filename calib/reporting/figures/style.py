@@ -197,9 +197,9 @@ def render_all(figure: Figure, forms: Sequence[str]) -> dict[str, bytes]:
 FORMS: Final = ("png", "svg", "pdf")
 
 
-def figure_paths(folder: Path | None, names: Iterable[str]) -> list[Path]:
-    """Return the files that figures of these names are written to; none without a folder."""
-    return [] if folder is None else [folder / f"{name}.{form}" for name in names for form in FORMS]
+def figure_paths(folder: Path, names: Iterable[str]) -> list[Path]:
+    """Return the files that figures of these names are written to."""
+    return [folder / f"{name}.{form}" for name in names for form in FORMS]
 
 
 def write_figures(
