@@ -63,7 +63,6 @@ def proposed(
     apart, known = partial(apart_on, full.arrays), (campaign, full.effects, full.noise, open_questions(full))
     runs = next_runs(*known, apart_on=apart, candidates=among, most=most)
     with suppress(CalibError):
-        from calib.kinematics.assemble import Promise
         from calib.kinematics.estimate import estimate_geometry
 
         found = estimate_geometry(campaign, progress=progress)

@@ -125,7 +125,7 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
         parts = {part.name: part for member in members for part in member.parts}
         sums, n_new = renewed(into / SUMS, parts, opened, _sums_of_parts, _sums_given_up, progress, "files")
         vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
-        done = opened.run(records_of, vehicles, lambda one, why: VehicleRecord(one[0], 0, 0.0, None, None, why))
+        done = opened.run(records_of, vehicles, lambda one, why: VehicleRecord(one[0], 0, None, None, why))
         records = {record.vehicle: record for record in done}
     by_id = tuple(records[member.vehicle] for member in members)
     view = view_of(by_id, labels_of(folder, members))

@@ -84,7 +84,6 @@ class VehicleRecord:
 
     vehicle: str
     n_runs: int
-    reference_load_N: float
     left: WheelLine | None
     right: WheelLine | None
     why: str = ""
@@ -121,17 +120,16 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     if not wrong and len(origins) > 1:
         wrong = "its files have different reference loads or nominal radii; expected one campaign.toml for all"
     if wrong:
-        return VehicleRecord(vehicle, 0, 0.0, None, None, wrong)
-    reference = parts[0].reference_load_N
+        return VehicleRecord(vehicle, 0, None, None, wrong)
     sums = [reduce(WheelSums.added, of_wheel) for of_wheel in zip(*(part.sums for part in parts), strict=True)]
     n_runs = int(sums[0].table[:, 0].sum())
     of_sums = (_line(side, one, parts[0]) for side, one in zip(WHEELS, sums, strict=True))
     left, right = parts[0].lines or of_sums
     if left is None or right is None:
         why = f"{n_runs} runs carry no line; expected three or more, at two loads or more"
-        return VehicleRecord(vehicle, n_runs, reference, None, None, why)
+        return VehicleRecord(vehicle, n_runs, None, None, why)
     doubtful = tuple(check for part in parts for check in part.doubtful)
-    return VehicleRecord(vehicle, n_runs, reference, left, right, doubtful=doubtful)
+    return VehicleRecord(vehicle, n_runs, left, right, doubtful=doubtful)
 
 
 def _line(side: str, sums: "WheelSums", part: PartSums) -> WheelLine | None:

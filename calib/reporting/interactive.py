@@ -13,15 +13,16 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.model import REFERENCE_POSE, Campaign
+from calib.campaign.model import Campaign
 from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.localise.along_run import traces_of
 from calib.gap.observations.arrays import Observations
+from calib.gap.observations.from_campaign import measured_poses
 from calib.gap.predict import Path
 from calib.reporting.figures.gap import GapArrays, rms
 from calib.reporting.formatting import natural, percent, with_unit
-from calib.types import FloatArray, evenly
+from calib.types import FloatArray, evenly, in_frame
 
 try:
     from bokeh import models
@@ -293,22 +294,13 @@ def _predicted(path: Path, limit: int) -> list[FloatArray]:
 
 
 def _measured(s: Observations, campaign: Campaign, limit: int) -> list[FloatArray]:
-    sensor = campaign.reference
-    lever_m = complex(sensor.sensor_x_m, sensor.sensor_y_m)
     paths = []
-    for unit, (run, start_s, last) in enumerate(zip(s.run.tolist(), s.start_s, s.starts[1:], strict=True)):
-        log = campaign.logs.of(run)
-        t_s, place_m, heading = np.zeros(0), np.zeros(0, complex), np.zeros(0)
-        if {"t_s", *REFERENCE_POSE} <= log.keys() and s.from_log[unit]:
-            t_s = log["t_s"] - log["t_s"][0] - start_s
-            heading = log["ref_theta_rad"] - sensor.sensor_yaw_rad
-            place_m = log["ref_x_m"] + 1j * log["ref_y_m"] - lever_m * np.exp(1j * heading)
-        seen = np.isfinite(place_m) & (t_s >= -1e-9) & (t_s <= s.time_s[last - 1] - start_s + 1e-9)
-        if seen.sum() < 2:
-            paths.append(np.zeros((0, 3)))
-            continue
-        place_m = (place_m[seen] - place_m[seen][0]) * np.exp(-1j * heading[seen][0])
-        path = np.column_stack((t_s[seen], place_m.real, place_m.imag))
+    for measured, from_log in zip(measured_poses(campaign, s), s.from_log, strict=True):
+        path = np.zeros((0, 3))
+        if measured is not None and from_log:
+            t_s, poses = measured
+            seen = in_frame((poses - poses[0]).T, np.full(len(poses), poses[0, 2]))
+            path = np.column_stack((t_s, seen[:, :2]))
         paths.append(path[evenly(len(path), limit)])
     return paths
 

@@ -3,7 +3,6 @@
 import math
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -39,26 +38,12 @@ PATH_TYPE, POSE_TYPE = "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
 NUMBER_TYPE, LOG_TYPE = "std_msgs/msg/Float64", "rcl_interfaces/msg/Log"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Track:
-    """A path: time since the run's start (n,), and x, y, heading (n, 3)."""
-
-    time_s: FloatArray
-    poses: FloatArray
-
-    def thinned(self) -> "Track":
-        """Return at most `MOST_POSES` poses, both ends among them."""
-        kept = evenly(len(self.time_s), MOST_POSES)
-        return Track(self.time_s[kept], self.poses[kept])
+#: a path: time since the run's start (n,), and x, y, heading (n, 3)
+Track = tuple[FloatArray, FloatArray]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _ShownRun:
-    label: str
-    duration_s: float
-    paths: dict[str, Track]
-    #: topic -> value, at the run's end
-    numbers: dict[str, float]
+#: what is shown of a run: its label and duration (s), its paths, and by topic the numbers at its end
+_ShownRun = tuple[str, float, dict[str, Track], dict[str, float]]
 
 
 def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:  # noqa: ARG001
@@ -80,13 +65,13 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[_ShownRun]:
     labels = observations.labels
     for number, measured in enumerate(measured_poses(campaign, observations)):
         paths = {name: tracks[number] for name, tracks in predicted.items()}
-        simulated = paths["simulated"]
+        time_s, _ = paths["simulated"]
         if measured is not None:
             rows, poses = measured
-            paths["measured"] = Track(rows, np.array([relative_pose(poses[0], pose) for pose in poses]))
+            paths["measured"] = (rows, np.array([relative_pose(poses[0], pose) for pose in poses]))
         elif observations.usable[number, Channel.ALONG]:
             end = np.nan_to_num(observations.measured[number, 1:4])
-            paths["measured"] = Track(simulated.time_s[-1:], end[None, :])
+            paths["measured"] = (time_s[-1:], end[None, :])
         numbers = {
             f"{name}/{channel.label}_{channel.unit}": float(values[number, channel])
             for name, values in tables.items()
@@ -95,7 +80,7 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[_ShownRun]:
         }
         window = f", window {observations.window[number]}" if observations.windowed else ""
         label = f"run {labels['run_id'][number]}{window}, {labels['kind'][number]}, session {labels['session'][number]}"
-        yield _ShownRun(label, float(simulated.time_s[-1]), paths, numbers)
+        yield label, float(time_s[-1]), paths, numbers
 
 
 def _predicted(path: PredictedPath) -> list[Track]:
@@ -108,7 +93,7 @@ def _predicted(path: PredictedPath) -> list[Track]:
         if not np.isfinite(middle).all():
             way = np.cumsum(np.abs(ds_m[part])) / UNKNOWN_SPEED_MPS
             middle, begin, end = way, 0.0, float(way[-1]) + 1.0
-        tracks.append(Track(np.concatenate(([begin], middle, [end])) - begin, poses))
+        tracks.append((np.concatenate(([begin], middle, [end])) - begin, poses))
     return tracks
 
 
@@ -127,7 +112,7 @@ def recording(runs: Iterator[_ShownRun]) -> bytes:
             begin = 0.0
             for run in runs:
                 sink.show(run, begin)
-                begin += run.duration_s + PAUSE_S
+                begin += run[1] + PAUSE_S
         (file,) = bag.glob("*.mcap")
         return file.read_bytes()
 
@@ -138,17 +123,19 @@ class _Sink:
         self.connections: dict[str, Connection] = {}
 
     def show(self, run: _ShownRun, begin_s: float) -> None:
-        log = self.types[LOG_TYPE](self._stamp(begin_s), INFO, "calib", run.label, "", "", 0)
+        label, duration_s, paths, numbers = run
+        log = self.types[LOG_TYPE](self._stamp(begin_s), INFO, "calib", label, "", "", 0)
         messages = [(begin_s, "/run", LOG_TYPE, log)]
-        for name in (name for name in PATHS if name in run.paths):
-            track = run.paths[name].thinned()
-            times = [begin_s + float(t) for t in track.time_s]
-            poses = [self._pose(t, *pose) for t, pose in zip(times, track.poses.tolist(), strict=True)]
+        for name in (name for name in PATHS if name in paths):
+            time_s, places = paths[name]
+            kept = evenly(len(time_s), MOST_POSES)
+            times = [begin_s + float(t) for t in time_s[kept]]
+            poses = [self._pose(t, *pose) for t, pose in zip(times, places[kept].tolist(), strict=True)]
             path = self.types[PATH_TYPE](self._header(begin_s), poses)
             messages.append((begin_s, f"/{name}/path", PATH_TYPE, path))
             messages += [(t, f"/{name}/pose", POSE_TYPE, pose) for t, pose in zip(times, poses, strict=True)]
-        for topic, value in run.numbers.items():
-            messages.append((begin_s + run.duration_s, f"/{topic}", NUMBER_TYPE, self.types[NUMBER_TYPE](value)))
+        for topic, value in numbers.items():
+            messages.append((begin_s + duration_s, f"/{topic}", NUMBER_TYPE, self.types[NUMBER_TYPE](value)))
         for t, topic, kind, message in sorted(messages, key=lambda entry: entry[0]):
             if topic not in self.connections:
                 self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)

@@ -20,6 +20,7 @@ from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.observations.arrays import Channel
 from calib.gap.predict import Path as PredictedPath
+from calib.odometry.poses import wrapped
 from calib.reporting.blocks import paragraph
 from calib.reporting.exports import diagnosed
 from calib.types import BoolArray, FloatArray, Progress, StrArray
@@ -86,10 +87,10 @@ def amcl_components(poses: FloatArray) -> FloatArray:
     step = np.diff(knots, axis=0)
     way = np.hypot(step[:, 0], step[:, 1])
     course = np.arctan2(step[:, 1], step[:, 0])
-    first = np.where(way < SHORTEST_WAY_M, 0.0, _wrapped(course - knots[:-1, 2]))
-    second = _wrapped(step[:, 2] - first)
+    first = np.where(way < SHORTEST_WAY_M, 0.0, wrapped(course - knots[:-1, 2]))
+    second = wrapped(step[:, 2] - first)
     # a vehicle that drives backward has not made half a turn
-    turns = [np.minimum(np.abs(turn), np.abs(_wrapped(turn - np.pi))) ** 2 for turn in (first, second)]
+    turns = [np.minimum(np.abs(turn), np.abs(wrapped(turn - np.pi))) ** 2 for turn in (first, second)]
     before, after = _levers(knots[:-1], end), _levers(knots[1:], end)
     along = _directions(np.where(way < SHORTEST_WAY_M, knots[:-1, 2], course), end)
     by_turns = _outer(before, turns[0]) + _outer(after, turns[1])
@@ -127,10 +128,6 @@ def _updates(poses: FloatArray) -> list[int]:
             kept.append(at)
     last = len(poses) - 1
     return kept if kept[-1] == last else [*kept, last]
-
-
-def _wrapped(angle: FloatArray) -> FloatArray:
-    return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 #: model of the noise -> names and covariances of its components

@@ -59,13 +59,10 @@ def content_of(result: Result, *, brief: bool) -> Sequence[Block | Section]:
 
 
 def _fit(fit: "Fit") -> Drawings:
-    session = fit.radii.session
-    return {
-        "regressions": partial(drawn, "calibration.regressions", fit.left, fit.right, session),
-        "runs": partial(drawn, "calibration.runs_by_series", fit.radii),
-        "path_deviation": partial(drawn, "calibration.path_deviation", fit.radii),
-        "residuals": partial(drawn, "calibration.residuals", fit.left, fit.right, session),
-    }
+    from calib.reporting.topics.fit import fit_pictures
+
+    runs, regressions, deviation, residuals, *_ = (picture.draw for picture in fit_pictures(fit))
+    return {"regressions": regressions, "runs": runs, "path_deviation": deviation, "residuals": residuals}
 
 
 def _diagnosis(diagnosis: "Diagnosis") -> Drawings:
