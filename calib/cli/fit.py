@@ -135,8 +135,8 @@ def geometry(
     if figures is not None:
         from calib.kinematics.assemble import traces_of
 
-        paths, how = traces_of(read, estimated), {"simulated": estimated.simulated}
-        terminal.draw(figures, lambda: {PICTURE: drawn("calibration.draw_paths", paths, **how)})
+        paths = traces_of(read, estimated)
+        terminal.draw(figures, lambda: {PICTURE: drawn("calibration.draw_paths", paths, simulated=estimated.simulated)})
     terminal.emit_json(document)
     if output is not None:
         terminal.save(output, from_geometry(estimated, read, accept=accept).to_bytes())

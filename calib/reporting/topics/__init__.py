@@ -16,19 +16,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from calib.gap.decision.diagnosis import Diagnosis, Plan
+    from calib.kinematics.result import Geometry
+    from calib.odometry.replay import Replay
     from calib.odometry.simulation import Simulation
     from calib.radius.result import Fit
-
-#: class of a result -> ``module.function`` of this folder: what its command prints, and what interpreter
-#: and notebook show
-CONTENT: Final = {
-    "Fit": ("fit.fit_content", "fit.fit_brief"),
-    "Geometry": ("geometry.geometry_content", "geometry.geometry_brief"),
-    "Diagnosis": ("diagnosis.diagnosis_full", "diagnosis.diagnosis_brief"),
-    "Plan": ("diagnosis.plan_content", "diagnosis.plan_content"),
-    "Simulation": ("simulation.simulation_content", "simulation.simulation_content"),
-    "Replay": ("simulation.replay_content", "simulation.replay_content"),
-}
 
 
 def summary(result: Result) -> str:
@@ -43,7 +34,7 @@ def brief(result: Result) -> str:
 
 def figure(result: Result, kind: str | None) -> "Figure":
     """Return a figure of a result, the first one where no kind is named."""
-    figures = _FIGURES[type(result).__name__](result)
+    figures: Drawings = PRESENTED[type(result).__name__][2](result)
     kind = next(iter(figures), "") if kind is None else kind
     if kind not in figures:
         raise BadInputError(
@@ -54,7 +45,7 @@ def figure(result: Result, kind: str | None) -> "Figure":
 
 def content_of(result: Result, *, brief: bool) -> Sequence[Block | Section]:
     """Return what the command prints of a result, or, `brief`, what interpreter and notebook show."""
-    blocks: Sequence[Block | Section] = named("topics", CONTENT[type(result).__name__][brief])(result)
+    blocks: Sequence[Block | Section] = named("topics", PRESENTED[type(result).__name__][brief])(result)
     return blocks
 
 
@@ -87,12 +78,21 @@ def _simulation(simulation: "Simulation") -> Drawings:
     }
 
 
-#: kind of figure -> its drawing function, the default first
-_FIGURES: Final[Mapping[str, Callable[[Any], Drawings]]] = {
-    "Fit": _fit,
-    "Geometry": lambda one: {"paths": partial(drawn, "calibration.draw_paths", one.paths, simulated=one.simulated)},
-    "Diagnosis": _diagnosis,
-    "Plan": _plan,
-    "Simulation": _simulation,
-    "Replay": lambda replay: {"end_errors": partial(drawn, "motion.replay_figure", replay)},
+def _geometry(geometry: "Geometry") -> Drawings:
+    return {"paths": partial(drawn, "calibration.draw_paths", geometry.paths, simulated=geometry.simulated)}
+
+
+def _replay(replay: "Replay") -> Drawings:
+    return {"end_errors": partial(drawn, "motion.replay_figure", replay)}
+
+
+#: class of a result -> ``module.function`` of this folder: what its command prints, and what interpreter and notebook
+#: show; its figures by kind, the default first
+PRESENTED: Final[Mapping[str, tuple[str, str, Callable[[Any], Drawings]]]] = {
+    "Fit": ("fit.fit_content", "fit.fit_brief", _fit),
+    "Geometry": ("geometry.geometry_content", "geometry.geometry_brief", _geometry),
+    "Diagnosis": ("diagnosis.diagnosis_full", "diagnosis.diagnosis_brief", _diagnosis),
+    "Plan": ("diagnosis.plan_content", "diagnosis.plan_content", _plan),
+    "Simulation": ("simulation.simulation_content", "simulation.simulation_content", _simulation),
+    "Replay": ("simulation.replay_content", "simulation.replay_content", _replay),
 }
