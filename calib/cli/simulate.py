@@ -37,36 +37,17 @@ def _above_zero(speed_mps: float) -> float:
 Speed = Annotated[float, opt("M/S", "Speed that times the trajectories.", "--speed", callback=_above_zero)]
 
 
-def finish(
-    simulation: "Simulation",
-    output: Path | None,
-    tum: Path | None,
-    speed_mps: float,
-    *,
-    seed: int,
-    notes: Sequence[str] = (),
-    law: Path | None = None,
-) -> None:
-    """Write what was asked for, and show the simulation; see `simulate`.
+#: folders of figures and of trajectories, and the speed that times these
+Targets = tuple[Path | None, Path | None, float]
 
-    Parameters
-    ----------
-    simulation : Simulation
-        What was driven.
-    output, tum : Path or None
-        Folders of figures and of trajectories.
-    speed_mps : float
-        Times the trajectories.
-    seed : int
-        What was drawn with.
-    notes : sequence of str
-        Of the law's source.
-    law : Path, optional
-        Where the vehicle's law came from.
-    """
+
+def finish(
+    simulation: "Simulation", targets: Targets, *, seed: int, notes: Sequence[str] = (), law: Path | None = None
+) -> None:
+    """Write what was asked for, and show the simulation; see `simulate`; `law`: where the vehicle's law came from."""
     from calib.reporting.topics.simulation import simulation_content, simulation_trajectories, write_simulation
 
-    force = terminal.forced()
+    (output, tum, speed_mps), force = targets, terminal.forced()
     written = [] if output is None else write_simulation(simulation, output, force=force)
     if tum is not None:
         written += simulation_trajectories(simulation, tum, speed_mps=speed_mps, force=force)
@@ -130,7 +111,7 @@ def route(
         )
     track_m, rng = vehicle.track_m if track is None else track, np.random.default_rng(0)
     simulation = simulate(CUSTOM, routes=route or (), cases=cases, track_m=track_m, real_track_m=real_track, rng=rng)
-    finish(simulation, output, tum, speed, seed=0)
+    finish(simulation, (output, tum, speed), seed=0)
 
 
 def journey(
@@ -172,7 +153,7 @@ def journey(
         under = LawJourneys(source, loads_N, (base[0], base[1]) if base else None, loading, draws)
         rng = np.random.default_rng(seed)
         simulation = simulate(CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=rng)
-    finish(simulation, output, tum, speed, seed=seed, notes=source.notes, law=law)
+    finish(simulation, (output, tum, speed), seed=seed, notes=source.notes, law=law)
 
 
 def study(
@@ -215,7 +196,7 @@ def study(
     with terminal.waiting("simulating"):
         under = None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws)
         simulation = simulate(name, routes=route or (), track_m=track_m, under=under, rng=rng)
-    finish(simulation, output, tum, speed, seed=seed, notes=() if source is None else source.notes, law=law)
+    finish(simulation, (output, tum, speed), seed=seed, notes=() if source is None else source.notes, law=law)
 
 
 def replay(
