@@ -45,7 +45,8 @@ def figure(result: Result, kind: str | None) -> "Figure":
 
 def content_of(result: Result, *, brief: bool) -> Sequence[Block | Section]:
     """Return what the command prints of a result, or, `brief`, what interpreter and notebook show."""
-    blocks: Sequence[Block | Section] = named("topics", PRESENTED[type(result).__name__][brief])(result)
+    printed, shown, _ = PRESENTED[type(result).__name__]
+    blocks: Sequence[Block | Section] = named("topics", shown if brief else printed)(result)
     return blocks
 
 
