@@ -18,7 +18,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.effects.effect import Effect
-from calib.gap.effects.library import REGISTRY, EffectSignature, effect_class, signature_of
+from calib.gap.effects.library import REGISTRY, EffectSignature, signature_of
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
 from calib.gap.plan.routes import Dimensions
@@ -117,7 +117,7 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="write nothing; status 1 where a page would change")
     given = parser.parse_args()
     nominal = predict(observations_of(yard()))
-    effects = [kind() for kind in map(effect_class, REGISTRY) if kind is not None]
+    effects = [kind() for kind in REGISTRY.values()]
     files = pages(effects, nominal)
     if given.check:
         # pictures hang on the last digits of a machine's arithmetic: the words are what is checked

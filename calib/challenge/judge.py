@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.challenge.cases import Truth
-from calib.gap.effects.library import effect_class
+from calib.gap.effects.library import REGISTRY
 from calib.plant.world import Cause
 
 Compared = tuple[str, float, float, float]  # parameter, truth, low, high
@@ -171,8 +171,7 @@ def _stated(causes: Sequence[Mapping[str, Any]], effects: tuple[str, ...]) -> tu
 
 
 def _family(effect: str) -> str:
-    kind = effect_class(effect)
-    return effect if kind is None else kind.family.value
+    return REGISTRY[effect].family.value if effect in REGISTRY else effect
 
 
 def groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> list[set[str]]:

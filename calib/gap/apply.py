@@ -93,16 +93,13 @@ def _slopes_and_sections(diagnosis: Diagnosis) -> tuple[dict[str, tuple[float, i
     named = {cause.effect for cause in causes}
     slopes: dict[str, tuple[float, int]] = {}
     sections: list[EffectSection] = []
-    first = len(fitted.calibration)
-    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        kind = effect_class(form.effect)
-        if form.effect in named and kind is not None and kind.carries_law_slope:
+    for form, theta, place in fitted.each():
+        if form.effect in named and effect_class(form.effect).carries_law_slope:
             # of one counter both wheels have the mean law
             rows = range(2) if len(theta) > 1 else (0, 0)
-            slopes = {side: (float(theta[k]), first + k) for side, k in zip(("left", "right"), rows, strict=True)}
+            slopes = {side: (float(theta[k]), place.start + k) for side, k in zip(("left", "right"), rows, strict=True)}
         elif form.effect in named:
             sections.append(section_of(form, theta))
-        first += len(theta)
     for cause in causes:
         if cause.effect == EncoderBlunder.id:
             sizes = {name: Quantity(value=q.value, unit=q.unit) for name, q in cause.parameters.items()}

@@ -148,7 +148,7 @@ def _judged(
 
 def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: SearchResult) -> bool:
     best, gap = searched.fitted, residuals(nominal, nominal)
-    for form, theta in zip(best.forms, best.theta, strict=True):
+    for form, theta, _ in best.each():
         if form.effect in assumed and np.linalg.norm(theta / [each.largest for each in form.parameters]) > 1.0:
             return False
     tried = trials(HeldOutFit(best, nominal, noise, searched.weighting), gap, noise.dof)
@@ -281,13 +281,11 @@ def _without(campaign: Campaign, omitted: Collection[str]) -> Campaign:
 
 
 def _refined(situation: Situation, fitted: Fitted) -> TurnedReference | None:
-    place = len(fitted.calibration)
-    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+    for form, theta, place in fitted.each():
         if form.effect == ReferenceYaw.id and form.label == ReferenceYaw.OF_POSITION:
-            sd_rad = float(np.sqrt(fitted.covariance[place, place]))
+            sd_rad = float(np.sqrt(fitted.covariance[place, place][0, 0]))
             turned = (fault for fault in situation.faults if isinstance(fault, TurnedReference))
             return next((fault.refined(float(theta[0]), sd_rad) for fault in turned), None)
-        place += len(theta)
     return None
 
 

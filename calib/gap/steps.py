@@ -129,16 +129,8 @@ EXTRAPOLATED_S: Final = 0.1
 SPARSE_SHARE: Final = 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lever:
-    """What a change of 1 at each step adds to the sums of its unit."""
-
-    sums: tuple[int, ...]  #: which of X, Y, TURN, LINE and WAY change
-    by_step: FloatArray  #: shape (n_sums, n_steps): by how much, for each of these
-
-    def __add__(self, other: "Lever") -> "Lever":
-        """Return what both changes do together; the same sums change."""
-        return Lever(self.sums, self.by_step + other.by_step)
+#: which of X, Y, TURN, LINE and WAY a change of 1 at each step adds to, and how much to each, shape (n_sums, n_steps)
+Lever = tuple[tuple[int, ...], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +192,7 @@ class Steps:
         """Return the lever of a field of a perturbation, or of ``both`` wheels' travel; each is worked out once."""
         known = self._known_levers
         if name not in known:
-            known[name] = self.lever("left") + self.lever("right") if name == "both" else _LEVERS[name](self)
+            known[name] = _LEVERS[name](self)
         return known[name]
 
     def _by_wheel(self, travel_m: FloatArray, sense: float) -> Lever:
@@ -214,11 +206,15 @@ class Steps:
         if self.s.aside_m is not None:
             x -= 0.5 * self.s.aside_m * self.sin
             y += 0.5 * self.s.aside_m * self.cos
-        return Lever((X, Y, TURN, LINE, WAY), by_step)
+        return (X, Y, TURN, LINE, WAY), by_step
+
+    def _by_both(self) -> Lever:
+        sums, left = self.lever("left")
+        return sums, left + self.lever("right")[1]
 
     def _by_track(self) -> Lever:
         turn = -(self.ds_right_m - self.ds_left_m) / self.track_m
-        return Lever((X, Y, TURN), np.stack([turn * self.lever_x, turn * self.lever_y, turn]))
+        return (X, Y, TURN), np.stack([turn * self.lever_x, turn * self.lever_y, turn])
 
     def motion_before_end(self, delay_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return way along and turn in the last `delay_s` (n_obs,) of each observation, each shape (n_obs,).
@@ -237,37 +233,37 @@ class Steps:
     def sums(self, perturbation: Perturbation) -> FloatArray:
         """Return what a perturbation adds to the sums of each observation, to first order, shape (5, n_obs)."""
         s, summed = self.s, np.zeros((N_SUMS, len(self.s)))
-        for part, lever in self._levers(perturbation):
+        for part, (sums, by_step) in self._levers(perturbation):
             if len(part) == len(s):
-                summed[list(lever.sums)] += np.add.reduceat(lever.by_step, s.starts[:-1], axis=1) * part
+                summed[list(sums)] += np.add.reduceat(by_step, s.starts[:-1], axis=1) * part
                 continue
             takes_part = part != 0.0
             if np.count_nonzero(takes_part) * SPARSE_SHARE < len(part):
                 # a place on the floor, a stop: most steps have no part in it
                 there = np.flatnonzero(takes_part)
-                some, unit = lever.by_step.take(there, axis=1) * part[there], s.unit[there]
-                for number, values in zip(lever.sums, some, strict=True):
+                some, unit = by_step.take(there, axis=1) * part[there], s.unit[there]
+                for number, values in zip(sums, some, strict=True):
                     summed[number] += np.bincount(unit, values, len(s))
             else:
-                summed[list(lever.sums)] += np.add.reduceat(lever.by_step * part, s.starts[:-1], axis=1)
+                summed[list(sums)] += np.add.reduceat(by_step * part, s.starts[:-1], axis=1)
         return summed
 
     def _levers(self, perturbation: Perturbation) -> Iterator[tuple[FloatArray, Lever]]:
         both = perturbation.left is perturbation.right
-        for name in _LEVERS:
-            part = getattr(perturbation, name)
-            if part is not None and not (both and name == "right"):
-                yield part, self.lever("both" if both and name == "left" else name)
+        parts = {name: getattr(perturbation, name) for name in _LEVERS if name != "both"}
+        parts |= {"both": parts["left"], "left": None, "right": None} if both else {}
+        yield from ((part, self.lever(name)) for name, part in parts.items() if part is not None)
 
 
 #: field of a perturbation -> its lever: of travel and track relative, of heading, way along and way to the left
 _LEVERS: Final[dict[str, Callable[[Steps], Lever]]] = {
+    "both": Steps._by_both,
     "left": lambda s: s._by_wheel(s.ds_left_m, -1.0),
     "right": lambda s: s._by_wheel(s.ds_right_m, 1.0),
     "track": Steps._by_track,
-    "heading_rad": lambda s: Lever((X, Y, TURN), np.stack([s.lever_x, s.lever_y, np.ones_like(s.lever_x)])),
-    "along_m": lambda s: Lever((X, Y, LINE, WAY), np.stack([s.cos, s.sin, s.weave_cos, np.ones_like(s.cos)])),
-    "lateral_m": lambda s: Lever((X, Y), np.stack([-s.sin, s.cos])),
+    "heading_rad": lambda s: ((X, Y, TURN), np.stack([s.lever_x, s.lever_y, np.ones_like(s.lever_x)])),
+    "along_m": lambda s: ((X, Y, LINE, WAY), np.stack([s.cos, s.sin, s.weave_cos, np.ones_like(s.cos)])),
+    "lateral_m": lambda s: ((X, Y), np.stack([-s.sin, s.cos])),
 }
 
 

@@ -228,7 +228,7 @@ def _cause_panel(verdict: Diagnosis) -> figure:
 
 
 def _with_aliases(effect: str, verdict: Diagnosis) -> str:
-    others = [name for group in verdict.groups if effect in group.effects for name in group.effects if name != effect]
+    others = [name for group in verdict.groups if effect in group for name in group if name != effect]
     more = [f"and {len(others) - ALIASES_NAMED} more"] if len(others) > ALIASES_NAMED else []
     return "\n".join([effect, *(f"or {other}" for other in others[:ALIASES_NAMED]), *more])
 

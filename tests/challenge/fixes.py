@@ -16,7 +16,7 @@ from calib.challenge.judge import Judged, judge
 from calib.challenge.score import wilson
 from calib.challenge.seal import Seeds, each, recipes
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.library import why_not_transferable
+from calib.gap.effects.library import effect_class
 
 MAX_RUNS = 160
 #: singles below this signal show too little for a fix
@@ -30,7 +30,9 @@ def answer(recipe: Recipe, seed: int) -> tuple[Judged, bool]:
     campaign, _ = campaigns_of(truth)
     exclude = (recipe.deleted,) if recipe.deleted else ()
     diagnosis = diagnose_in_full(campaign, plan=False, exclude=exclude)
-    return judge(truth, diagnosis.to_dict()), not any(why_not_transferable(cause.effect) for cause in diagnosis.causes)
+    return judge(truth, diagnosis.to_dict()), not any(
+        effect_class(cause.effect).not_transferable for cause in diagnosis.causes
+    )
 
 
 def main() -> None:

@@ -124,7 +124,7 @@ def test_a_share_lies_in_its_interval_and_a_sole_cause_carries_what_is_explained
 def test_one_load_a_session_confounds_load_and_session(corridor: Diagnosis) -> None:
     """One load a session cannot separate the two; a run that does is recommended, with its reason."""
     assert corridor.kind is VerdictKind.AMBIGUOUS
-    assert any({"load_radius", "session_step"} <= set(group.effects) for group in corridor.groups)
+    assert any({"load_radius", "session_step"} <= set(group) for group in corridor.groups)
     assert not corridor.recommended
     assert any("load_radius" in run.why and "session_step" in run.why for run in corridor.next_runs)
 

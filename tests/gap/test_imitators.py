@@ -134,7 +134,7 @@ def test_a_wrong_datum_is_left_open_at_one_speed(diagnosing: Diagnosing) -> None
     """At one speed an offset and a delay are the same column."""
     verdict = diagnosing(in_corridor((0.5,)), plan=False)
     assert verdict.kind is VerdictKind.AMBIGUOUS
-    assert {"rangefinder_offset", "reference_latency"} <= {name for group in verdict.groups for name in group.effects}
+    assert {"rangefinder_offset", "reference_latency"} <= {name for group in verdict.groups for name in group}
 
 
 def steered(lag_s: float, cubic: float = 0.0) -> Truth:
@@ -344,7 +344,7 @@ def test_radii_and_track_off_alike_may_be_the_scale_of_a_reference_that_alone_me
     verdict = diagnosing(replace(made, runs=runs))
     assert {cause.effect for cause in verdict.causes} == {"radius_scale", "track_width"}
     assert verdict.recommended is not alike
-    told = [group.effects[:3] for group in verdict.groups] == [("radius_scale", "track_width", "reference_scale")]
+    told = [group[:3] for group in verdict.groups] == [("radius_scale", "track_width", "reference_scale")]
     assert told is alike
     if alike:
         assert verdict.kind is VerdictKind.AMBIGUOUS

@@ -104,8 +104,7 @@ def calibrated(campaign: Campaign) -> tuple[Campaign, dict[str, Any], FloatArray
 
 
 def _family(effect: str) -> str:
-    kind = effect_class(effect)
-    family = "" if kind is None else kind.family.value
+    family = effect_class(effect).family.value
     return "" if family in NO_FAMILY else family
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.gap.decision.diagnosis import Cause, Diagnosis, Group, Quantity, VerdictKind
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.localise.covariates import CovariateResult
 from calib.gap.localise.locate import ChannelGap, GapLocation, RunDeviation
@@ -58,7 +58,7 @@ def findings(seed: int = 0, n: int = 48) -> tuple[Diagnosis, GapArrays]:
             Cause("curve_scrub", "scrub in curves", "", 0.37, 0.93, 20.0, {}, remark="suspect latency"),
         ),
         credible_sets=(("track_width",), ("curve_scrub",)),
-        groups=(Group(("track_width", "curve_scrub")),),
+        groups=(("track_width", "curve_scrub"),),
         undetectable=(
             DetectionLimit("side_slip", "2 mrad per m/s^2"),
             DetectionLimit("wear", "nothing varies", never=True),

@@ -11,7 +11,7 @@ import pytest
 
 from calib.cli.export import _next_step
 from calib.cli.main import run
-from calib.gap.decision.diagnosis import Diagnosis, Group, VerdictKind
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.reporting.blocks import next_step
 from calib.reporting.topics.diagnosis import after_diagnosis
@@ -174,5 +174,5 @@ def test_a_diagnosis_promises_no_runs_where_the_plan_has_none(
     group: tuple[str, ...], runs: tuple[PlannedRun, ...], step: str
 ) -> None:
     """What no run tells apart, a length by other means may: of two instruments one is wrong."""
-    found = Diagnosis(VerdictKind.AMBIGUOUS, "", groups=(Group(group),), next_runs=runs)
+    found = Diagnosis(VerdictKind.AMBIGUOUS, "", groups=(group,), next_runs=runs)
     assert after_diagnosis(found) == step

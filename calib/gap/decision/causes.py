@@ -119,15 +119,12 @@ def _shares(
 def _sized(evidence: Evidence) -> list[_Sized]:
     system, fitted, recalibration = evidence.system, evidence.fitted, evidence.recalibration
     nuisance = Nuisance.of(system.calibration)
-    sized, first, own = [], 4, np.eye(4 + len(fitted.parameters))
-    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
-        last = first + len(theta)
+    sized, own = [], np.eye(4 + len(fitted.parameters))
+    for form, theta, place in fitted.each():
         columns = system.columns(form) / form.typical
         whitened = (columns @ theta)[:, None]
         signal = float(np.sqrt(nuisance.scalar(whitened, whitened)[0, 0]))
-        covariance = fitted.covariance[first:last, first:last]
-        sized.append(_Sized(form, theta, covariance, columns, signal, own[:, first:last]))
-        first = last
+        sized.append(_Sized(form, theta, fitted.covariance[place, place], columns, signal, own[:, place]))
     for name in evidence.calibration:
         k = NAMES.index(name)
         form = evidence.effects[name].forms(evidence.observations)[0]

@@ -1,7 +1,7 @@
 """Confounded effects, how far their corrections differ, and the probability of each effect."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -11,7 +11,7 @@ from calib.gap.effects.effect import Family, Form
 from calib.gap.effects.library import applied_perturbations, section_of
 from calib.gap.effects.radii import DIRECTIONS, NAMES, RadiusScale, SpeedRadius, TrackWidth
 from calib.gap.effects.reference import ReferenceScale
-from calib.gap.inference.fit import CALIBRATION_SD, calibration_pushes, hypothesis_path
+from calib.gap.inference.fit import CALIBRATION_SD, Fitted, calibration_pushes, hypothesis_path
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
@@ -96,13 +96,7 @@ def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Dist
             return [*found, (off, together)]
         found += [(off, together)] * bool(together)
     for name in off:
-        others = []
-        for other, direction in zip(NAMES, DIRECTIONS, strict=True):
-            if other != name:
-                column = (evidence.per_unit @ direction)[:, None]
-                # what is not off may be off by what does not show
-                undetected = SEPARATION_SD / max(float(np.linalg.norm(column)), 1e-12)
-                others.append(column * (CALIBRATION_SD[0] if other in off else undetected))
+        others = [_undetected(evidence, off)[:, [other != name for other in NAMES]]]
         own = {other: each for other, each in evidence.own_forms.items() if other in NAMES}
         found.append(((name,), near([name], others, forms | own)))
     return found
@@ -116,13 +110,14 @@ def _of_effect(evidence: Evidence, number: int, within: float) -> Distances:
     near = _absorbing(evidence, contribution, within)
     own = min(near.values(), default=np.inf) < SEPARATION_SD or evidence.effects[form.effect].needs_calibration
     for held in (False, True):
-        calibration = _undetected(evidence) if held else system.calibration
+        calibration = [_undetected(evidence, evidence.calibration), system.calibration[:, 3:]]
+        calibration = calibration if held else [system.calibration]
         compared = {
             name: forms
             for name, forms in evidence.search.forms.items()
             if held == (own or evidence.effects[name].needs_calibration)
         }
-        nuisance = Nuisance.of(np.concatenate([calibration, *others], axis=1))
+        nuisance = Nuisance.of(np.concatenate([*calibration, *others], axis=1))
         if SpeedRadius.id in compared and evidence.effects[form.effect].family is Family.DIRECTION:
             compared[SpeedRadius.id] = evidence.own_forms[SpeedRadius.id]
         near |= aliases_of(system, nuisance, contribution, compared, evidence.named, within)
@@ -160,12 +155,11 @@ def _absorbing(evidence: Evidence, contribution: FloatArray, within: float) -> d
     return {name: left_sd for name, size in zip(NAMES, sizes.tolist(), strict=True) if abs(size) > SEPARATION_SD}
 
 
-def _undetected(evidence: Evidence) -> FloatArray:
+def _undetected(evidence: Evidence, off: Collection[str]) -> FloatArray:
     columns = evidence.per_unit @ DIRECTIONS.T
+    # what is not off may be off by what does not show
     limits = SEPARATION_SD / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-    off = [name in evidence.calibration for name in NAMES]
-    free = columns * np.where(off, CALIBRATION_SD[0], limits)
-    return np.concatenate([free, evidence.system.calibration[:, 3:]], axis=1)
+    return np.asarray(columns * np.where([name in off for name in NAMES], CALIBRATION_SD[0], limits))
 
 
 def _as_likely(evidence: Evidence, effect: str) -> list[str]:
@@ -213,28 +207,21 @@ def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]
     return probable
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Correction:
-    calibration: FloatArray
-    forms: Sequence[Form]
-    theta: Sequence[FloatArray]
-
-    def ends(self, evidence: Evidence) -> FloatArray:
-        """Return end positions (n, 2) of journeys to come, else of the runs driven."""
-        journeys = evidence.journeys
-        if journeys is None:
-            about = evidence.fitted.path
-            path = hypothesis_path(about.s, self.calibration, self.forms, self.theta, about)
-            # parameters of a simulator move its vehicle's readings
-            return path.reading[:, POSE] if about.s.calibration_held else path.end[:, :2]
-        sections = [section_of(form, sizes) for form, sizes in zip(self.forms, self.theta, strict=True)]
-        # what the journeys do not excite does nothing there
-        declared = evidence.situation.campaign.extra.get("effects", ())
-        perturbations, _ = applied_perturbations(journeys, sections, declared=declared)
-        path = predict(journeys, [*calibration_pushes(journeys, self.calibration, None), *perturbations])
-        # driven runs keep covariates varying as in the fit
-        to_come = ~np.isin(journeys.labels["run_id"], evidence.observations.labels["run_id"])
-        return path.end[to_come, :2]
+def _ends(evidence: Evidence, fitted: Fitted) -> FloatArray:
+    """Return end positions (n, 2) of journeys to come under a correction, else of the runs driven."""
+    journeys, about = evidence.journeys, fitted.path
+    if journeys is None:
+        path = hypothesis_path(about.s, fitted.calibration, fitted.forms, fitted.theta, about)
+        # parameters of a simulator move its vehicle's readings
+        return path.reading[:, POSE] if about.s.calibration_held else path.end[:, :2]
+    sections = [section_of(form, sizes) for form, sizes, _ in fitted.each()]
+    # what the journeys do not excite does nothing there
+    declared = evidence.situation.campaign.extra.get("effects", ())
+    perturbations, _ = applied_perturbations(journeys, sections, declared=declared)
+    path = predict(journeys, [*calibration_pushes(journeys, fitted.calibration, None), *perturbations])
+    # driven runs keep covariates varying as in the fit
+    to_come = ~np.isin(journeys.labels["run_id"], evidence.observations.labels["run_id"])
+    return path.end[to_come, :2]
 
 
 def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | None:
@@ -245,13 +232,12 @@ def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | 
 
     `groups`: the named effect first.
     """
-    fitted, distances = evidence.fitted, []
-    best = _Correction(fitted.calibration, fitted.forms, fitted.theta)
+    distances = []
     for group in groups:
         named = [name for name in group if name in evidence.named]
         exchanged = [_exchanged(evidence, named, other) for other in group if other not in named]
         for alternative in filter(None, exchanged):
-            apart = alternative.ends(evidence) - best.ends(evidence)
+            apart = _ends(evidence, alternative) - _ends(evidence, evidence.fitted)
             distances.append(float(np.sqrt(np.mean((apart**2).sum(axis=1)))))
     return max(distances, default=None)
 
@@ -261,7 +247,7 @@ def is_recalibrated(evidence: Evidence, name: str) -> bool:
     return name in evidence.effects and evidence.effects[name].calibration
 
 
-def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> _Correction | None:
+def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> Fitted | None:
     kept = [form for form in evidence.fitted.forms if form.effect not in named]
     offered = (evidence.search.forms | evidence.unaided_scale).get(other, ())
     candidates = [kept] if is_recalibrated(evidence, other) else [[*kept, form] for form in offered]
@@ -270,8 +256,8 @@ def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> _Correct
     return min(tried, key=lambda each: each[0])[1] if tried else None
 
 
-def refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -> tuple[float, _Correction]:
-    """Return the whitened square that some forms leave, calibration parameters but `fixed` free, and their sizes."""
+def refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -> tuple[float, Fitted]:
+    """Return the whitened square that some forms leave, calibration parameters but `fixed` free, and them so fitted."""
     fitted = evidence.fitted
     every = [*fitted.forms, *(form for form in forms if all(form is not own for own in fitted.forms))]
     system = LinearSystem(fitted, evidence.nominal, evidence.noise, every)
@@ -285,8 +271,8 @@ def refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) ->
     residual = system.gap - columns @ sizes
     change = directions @ sizes[: len(free)] * CALIBRATION_SD[0]
     parts = np.split(sizes, np.cumsum([len(free), *(len(form.parameters) for form in forms)])[:-1])[1:]
-    theta = [part * form.typical for part, form in zip(parts, forms, strict=True)]
-    return float(residual @ residual), _Correction(change, forms, theta)
+    theta = tuple(part * form.typical for part, form in zip(parts, forms, strict=True))
+    return float(residual @ residual), replace(fitted, calibration=change, forms=tuple(forms), theta=theta)
 
 
 def gap_probability(evidence: Evidence) -> float:

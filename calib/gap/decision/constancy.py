@@ -61,8 +61,7 @@ class SessionScatter:
 
 def session_scatter(evidence: Evidence) -> SessionScatter | None:
     """Return what the radii's steps add to sizes; None without sessions or scatter, or with steps named."""
-    fitted = evidence.fitted
-    fit = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
+    fitted, fit = evidence.fitted, evidence.left_out
     blocks = fit.weighting.system.blocks
     labels, session = np.unique(evidence.observations.labels["session"][blocks.unit], return_inverse=True)
     if len(labels) < 2 or any(form.effect == SessionStep.id for form in fitted.forms):
@@ -129,9 +128,9 @@ def _is_predicted(evidence: Evidence, effect: str) -> bool:
     forms = [form for form in evidence.fitted.forms if form.effect != effect]
     along = DIRECTIONS[[name != effect for name in NAMES]]
     others = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)
-    known = (evidence.nominal, evidence.noise, evidence.search.weighting)
-    left, by = left_with_others(HeldOutFit(others, *known, along), sessions=True)
-    closed = improvement_of(HeldOutFit(evidence.fitted, *known), sessions=True, stated=left).closed_ci95[0]
+    without = HeldOutFit(others, evidence.nominal, evidence.noise, evidence.search.weighting, along)
+    left, by = left_with_others(without, sessions=True)
+    closed = improvement_of(evidence.left_out, sessions=True, stated=left).closed_ci95[0]
     k = len(evidence.fitted.parameters) - sum(len(form.parameters) for form in forms) or 1
     free = min(len(np.unique(evidence.observations.labels["session"])), MOST_SESSION_FOLDS) - 1 - k
     ratio = max(closed, 0.0) / max(1.0 - closed, 1e-9) * free / k
@@ -207,14 +206,13 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
     form. The statistic follows F; levels are divided by the number of tests. None is what an effect that may act
     beside accounts for, so that a test of its own, the only one, no longer shows a difference.
     """
-    fit = HeldOutFit(evidence.fitted, evidence.nominal, evidence.noise, evidence.search.weighting)
     # what differs by session has no common size
     names = {name for name in effects if not evidence.effects[name].per_session}
     groups = groupings(evidence.observations, by_balance=True)
-    contributions = _contributions(evidence, fit, names)
+    contributions = _contributions(evidence, names)
 
     def difference(effect: str, by: str, beside: FloatArray | None = None) -> SizeDifference | None:
-        return _difference(fit, effect, contributions[effect], by, groups[by], beside)
+        return _difference(evidence.left_out, effect, contributions[effect], by, groups[by], beside)
 
     pairs = ((effect, by) for effect in contributions for by in groups)
     tested = [found for effect, by in pairs if (found := difference(effect, by)) is not None]
@@ -222,14 +220,14 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
     for each in sorted(tested, key=lambda each: each.p_value):
         if (p_value := len(tested) * each.p_value) >= FALSE_REJECTION:
             break
-        others = (difference(each.effect, each.by, beside) for beside in _beside(evidence, fit))
+        others = (difference(each.effect, each.by, beside) for beside in _beside(evidence))
         if each.effect not in differing and all(other and other.p_value < FALSE_REJECTION for other in others):
             differing[each.effect] = replace(each, p_value=p_value)
     return differing
 
 
-def _beside(evidence: Evidence, fit: HeldOutFit) -> Iterator[FloatArray]:
-    search, order = evidence.search, fit.weighting.system.blocks.order
+def _beside(evidence: Evidence) -> Iterator[FloatArray]:
+    search, order = evidence.search, evidence.left_out.weighting.system.blocks.order
     probability = dict(zip(search.models, search.probabilities, strict=True))
     least = probability.get(search.effects, 0.0) * np.exp(-LOG_EVIDENCE_WINDOW)
     for name, forms in search.forms.items():
@@ -237,11 +235,11 @@ def _beside(evidence: Evidence, fit: HeldOutFit) -> Iterator[FloatArray]:
             yield from (evidence.system.columns(form)[order] for form in forms)
 
 
-def _contributions(evidence: Evidence, fit: HeldOutFit, names: Collection[str]) -> dict[str, FloatArray]:
-    contributions, first = {}, 4
-    for form, theta in zip(evidence.fitted.forms, evidence.fitted.theta, strict=True):
-        contributions[form.effect] = fit.columns[:, first : first + len(theta)] @ (theta / form.typical)
-        first += len(theta)
+def _contributions(evidence: Evidence, names: Collection[str]) -> dict[str, FloatArray]:
+    fit = evidence.left_out
+    contributions = {
+        form.effect: fit.columns[:, place] @ (theta / form.typical) for form, theta, place in evidence.fitted.each()
+    }
     per_unit = fit.weighting.system.calibration / CALIBRATION_SD
     for number, name in enumerate(NAMES):
         if name in evidence.calibration:

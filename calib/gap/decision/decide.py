@@ -15,7 +15,7 @@ from calib.campaign.model import Note
 from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
 from calib.gap.decision.constancy import SizeDifference, size_differences, without_refuted
-from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Fix, Group, NoiseSummary, Situation, VerdictKind
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Fix, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, without_length
 from calib.gap.decision.kind import (
     CERTAIN_PROBABILITY,
@@ -98,7 +98,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         sentence="",
         causes=(*map(naming.blunder_cause, situation.faults), *causes),
         credible_sets=confounding.credible_sets(evidence, () if kind in NOTHING_NAMED else confounded),
-        groups=tuple(Group(tuple(group)) for group in tied_with(causes, tied)),
+        groups=tuple(map(tuple, tied_with(causes, tied))),
         where=evidence.where,
         closure=closure,
         unexplained=None if kind in NO_GAP_SHOWN and not situation.faults else unexplained,
@@ -278,7 +278,7 @@ def _form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]
 
 def _acts_opposite(evidence: Evidence, form: Form) -> bool:
     fitted, system = evidence.fitted, evidence.system
-    for own, theta in zip(fitted.forms, fitted.theta, strict=True):
+    for own, theta, _ in fitted.each():
         if own.effect == form.effect and len(own.parameters) == len(form.parameters):
             acting = [(system.columns(each) @ (theta / own.typical))[:, None] for each in (own, form)]
             return float(Nuisance.of(system.calibration).scalar(*acting)[0, 0]) < 0.0

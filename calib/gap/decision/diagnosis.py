@@ -17,6 +17,7 @@ from calib.gap.effects.encoder import Blunder
 from calib.gap.effects.radii import AnySpeed
 from calib.gap.effects.reference import ReferenceScale, TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
+from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult
 from calib.gap.inference.noise import Noise
@@ -73,6 +74,11 @@ class Evidence:
     def fitted(self) -> Fitted:
         """The most probable hypothesis, a recalibration free beside it."""
         return self.search.fitted
+
+    @cached_property
+    def left_out(self) -> HeldOutFit:
+        """It, to be fitted without some runs."""
+        return HeldOutFit(self.fitted, self.nominal, self.noise, self.search.weighting)
 
     @cached_property
     def calibration(self) -> tuple[str, ...]:
@@ -194,13 +200,6 @@ class Cause:
 
 
 @dataclass(frozen=True, slots=True)
-class Group:
-    """Confounded effects, the named one first."""
-
-    effects: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
 class Unexplained:
     """The unexplained residual: share of the gap, signal, and place in words."""
 
@@ -260,7 +259,8 @@ class Diagnosis(Result):
     causes: tuple[Cause, ...] = ()  #: named, most probable first
     #: sets of causes that hold 95 %, most probable first, and alternatives to the first
     credible_sets: tuple[tuple[str, ...], ...] = ()
-    groups: tuple[Group, ...] = field(default=(), metadata={"json": "indistinguishable"})  #: confounded effects
+    #: confounded effects, the named one first
+    groups: tuple[tuple[str, ...], ...] = field(default=(), metadata={"json": "indistinguishable"})
     undetectable: tuple[DetectionLimit, ...] = ()  #: effects not shown at typical size
     where: GapLocation = field(default_factory=GapLocation)  #: of the gap: channels, covariates, runs, places
     closure: Closure = field(default_factory=Closure)  #: on held-out runs
@@ -368,7 +368,6 @@ class Diagnosis(Result):
         document = plain_fields(
             self,
             rest=self.unexplained or self.left,
-            indistinguishable=[group.effects for group in self.groups],
             undetectable={limit.effect: limit.sentence for limit in self.undetectable},
             recommended=self.recommended,
         )

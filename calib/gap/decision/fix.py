@@ -20,7 +20,7 @@ from calib.gap.decision.kind import (
 )
 from calib.gap.decision.trials import FALSE_ALARM, Trial
 from calib.gap.effects.effect import Family
-from calib.gap.effects.library import effect_class, why_not_transferable
+from calib.gap.effects.library import effect_class
 from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.types import few_digits
@@ -130,8 +130,7 @@ def doubts(cause: Cause, found: Finding) -> Iterator[str]:
 
 def beyond_vehicles(cause: Cause) -> Iterator[str]:
     """Yield that a length is beyond any vehicle's, by the bounds of `calib geometry`."""
-    kind = effect_class(cause.effect)
-    largest = inf if kind is None else kind.wrong_beyond
+    largest = effect_class(cause.effect).wrong_beyond
     if not cause.plausible and any(abs(quantity.value) > largest for quantity in cause.parameters.values()):
         sizes = ", ".join(f"{100 * quantity.value:+.3g} %" for quantity in cause.parameters.values())
         yield (
@@ -201,10 +200,8 @@ def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Itera
     low, high = (100 * share for share in improvement.closed_ci95)
     for cause in causes:
         beyond = max(cause.times / PLAUSIBLE_FACTOR, 1.0)
-        kind, wanted = effect_class(cause.effect), 100 * (1 - (1 - HALF_CLOSURE) / beyond**2)
-        if low <= wanted and not (
-            cause.plausible or cause.undetermined or (kind is not None and kind.wrong_beyond < inf)
-        ):
+        wanted, bounded = 100 * (1 - (1 - HALF_CLOSURE) / beyond**2), effect_class(cause.effect).wrong_beyond < inf
+        if low <= wanted and not (cause.plausible or cause.undetermined or bounded):
             yield (
                 f"the size of {cause.effect} is {cause.remark}, and on held-out runs it closes {low:.0f} to {high:.0f} "
                 f"% of the gap, where {wanted:.0f} % are to be certain; {PLAN}"
@@ -270,7 +267,7 @@ def harmed(trials: Sequence[Trial]) -> list[Trial]:
 
 def elsewhere(fitted: Iterable[str], alternatives: Iterable[str]) -> list[str]:
     """Return why a correction does not hold for journeys to come: by its causes, or what they may be instead."""
-    return sorted({text for name in {*fitted, *alternatives} if (text := why_not_transferable(name))})
+    return sorted({text for name in {*fitted, *alternatives} if (text := effect_class(name).not_transferable)})
 
 
 def alternatives(evidence: Evidence, found: Finding) -> set[str]:
@@ -288,10 +285,8 @@ def alternatives(evidence: Evidence, found: Finding) -> set[str]:
 
 def parting(group: Sequence[str]) -> list[str]:
     """Return the first effect of a group and those that follow something else, one with it on the runs driven alone."""
-    families = [kind.family if (kind := effect_class(name)) else Family.OWN for name in group]
-    found = [
-        name for name, family in zip(group[1:], families[1:], strict=True) if family in PARTING.get(families[0], ())
-    ]
+    follows = PARTING.get(effect_class(group[0]).family, ())
+    found = [name for name in group[1:] if effect_class(name).family in follows]
     return [group[0], *found] if found else []
 
 

@@ -249,7 +249,7 @@ def open_questions(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     may show instead.
     """
     if diagnosis.groups or diagnosis.recommended:
-        return [tuple(group.effects) for group in diagnosis.groups]
+        return [*diagnosis.groups]
     named = {cause.effect for cause in diagnosis.causes}
     rivals = [name for name, p in diagnosis.probabilities.items() if p >= RIVAL_PROBABILITY and name != "unknown"]
     rivals = [name for name in rivals if name not in named][:MOST_RIVALS]

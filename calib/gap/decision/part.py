@@ -215,18 +215,16 @@ def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Qu
 
 def is_named_beside(cause: Cause, fix: Fix, found: Finding) -> bool:
     """Return whether a cause stays named beside a part's fix; `Fix.leaves` tells what doubtful ones are."""
-    kind = effect_class(cause.effect)
     # what steps is excluded for what it is
-    if fix.corrects is None or cause.effect in fix.corrects or (kind is not None and kind.per_session):
-        return True
-    return found.probability(cause) >= CERTAIN_PROBABILITY
+    kept = fix.corrects is None or cause.effect in fix.corrects or effect_class(cause.effect).per_session
+    return kept or found.probability(cause) >= CERTAIN_PROBABILITY
 
 
 def _parted(found: Finding) -> tuple[list[Cause], dict[str, str], bool]:
     causes, differing = found.causes, found.differing
     dropped = {cause.effect: text for cause in causes for text in rule.doubts(cause, found)}
     # a session's own step says nothing of the next, and takes nothing from what holds in all
-    kinds = [kind for cause in causes if (kind := effect_class(cause.effect)) is not None and kind.per_session]
+    kinds = [kind for kind in (effect_class(cause.effect) for cause in causes) if kind.per_session]
     dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
     # what differs between runs acts as something else: a weaker cause may be a part of that, but nearly certain radii
     # and track

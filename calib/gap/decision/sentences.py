@@ -125,7 +125,7 @@ def _moves(diagnosis: Diagnosis) -> str:
         if low[0] == high[0]:
             moved[name] = f"{HIDES_IN[name]} by {value} % ({low} to {high} %)"
     kinds = ((cause.effect, effect_class(cause.effect)) for cause in diagnosis.causes)
-    like = joined((name for name, kind in kinds if kind and not kind.zero_known and moved.keys() & kind.shifts), "or")
+    like = joined((name for name, kind in kinds if not kind.zero_known and moved.keys() & kind.shifts), "or")
     why = f": these runs do not tell that from another zero point of {like}" if like else ""
     return f" The fix changes {joined(moved.values(), 'and')}, too{why}." if moved else ""
 
@@ -140,7 +140,7 @@ def _advised(diagnosis: Diagnosis) -> str:
         only = "" if _moves(diagnosis) else " alone"
         return f"Recommended: the correction of {part}{only}, which {holds} on held-out runs.{left}"
     if diagnosis.recommended and diagnosis.groups:
-        groups = joined((joined(group.effects, "or") for group in diagnosis.groups), "and")
+        groups = joined((joined(group, "or") for group in diagnosis.groups), "and")
         return f"Recommended: the corrections for {groups} agree; apply the fix in either case."
     if diagnosis.recommended:
         return f"Recommended: the fix {holds} on held-out runs."
@@ -153,7 +153,7 @@ def _capital(text: str) -> str:
 
 def _unidentified(diagnosis: Diagnosis) -> int:
     named = {cause.effect for cause in diagnosis.causes}
-    sizes = [len(group.effects) for group in diagnosis.groups if named.issubset(group.effects)]
+    sizes = [len(group) for group in diagnosis.groups if named.issubset(group)]
     return max((size for size in sizes if size > LARGEST_GROUP), default=0)
 
 
@@ -164,8 +164,7 @@ def _listed(causes: Sequence[Cause]) -> str:
 
 
 def _with_forms(cause: Cause) -> str:
-    others = cause.forms_open if cause.probability < CERTAIN_PROBABILITY else ()
-    return joined([cause.effect, *others], "or")
+    return joined([cause.effect, *(cause.forms_open if cause.probability < CERTAIN_PROBABILITY else ())], "or")
 
 
 def joined(parts: Iterable[str], word: str) -> str:
@@ -182,9 +181,9 @@ def _named(effect: str, diagnosis: Diagnosis) -> str:
 def _ambiguous(diagnosis: Diagnosis) -> str:
     if most := _unidentified(diagnosis):
         return f"There is a gap, but these runs do not identify its cause: {most} effects explain it equally well"
-    confounded = {effect for group in diagnosis.groups for effect in group.effects}
+    confounded = {effect for group in diagnosis.groups for effect in group}
     sure = [cause for cause in diagnosis.causes if cause.effect not in confounded]
-    groups = [joined(_choices(group.effects, diagnosis), "or") for group in diagnosis.groups]
+    groups = [joined(_choices(group, diagnosis), "or") for group in diagnosis.groups]
     several = bool(sure) or len(groups) > 1
     parts = ([_listed(sure)] if sure else []) + [f"either {group}" if several else group for group in groups]
     which = "which" if len(groups) == 1 else "which of each"
@@ -208,9 +207,9 @@ def _alternatives(diagnosis: Diagnosis) -> str:
         return f", whose cause these runs do not identify (up to {most} effects explain it equally well)"
     named = {cause.effect for cause in diagnosis.causes}
     pairs = [
-        f"{joined((effect for effect in group.effects if effect in named), 'and')} from {others}"
+        f"{joined((effect for effect in group if effect in named), 'and')} from {others}"
         for group in diagnosis.groups
-        if (others := joined(_others(group.effects, diagnosis), "or"))
+        if (others := joined(_others(group, diagnosis), "or"))
     ]
     return f"; these runs cannot tell {', nor '.join(pairs)}" if pairs else ""
 
@@ -260,7 +259,7 @@ def _recalibration(diagnosis: Diagnosis) -> str:
     others = [cause for cause in diagnosis.causes if cause.effect not in HIDES_IN]
     if own and not others and diagnosis.kind is VerdictKind.EXPLAINED and not diagnosis.fix.why:
         return f" A plain recalibration of {joined((HIDES_IN[name] for name in own), 'and')} closes it."
-    confounded = {effect for group in diagnosis.groups for effect in group.effects} & HIDES_IN.keys()
+    confounded = {effect for group in diagnosis.groups for effect in group} & HIDES_IN.keys()
     hidden = sorted(confounded - set(own)) if others else []
     names = joined((HIDES_IN[name] for name in hidden), "and")
     return f" These runs cannot tell it from an error of {names}." if hidden else ""
@@ -284,14 +283,14 @@ class PaperHeadline:
 
 def headline(diagnosis: Diagnosis) -> PaperHeadline | None:
     """Return the paper's headline beside a diagnosis'; None where load is not the cause."""
-    laws = (cause.effect for cause in diagnosis.causes if getattr(effect_class(cause.effect), "is_load_law", False))
+    laws = (cause.effect for cause in diagnosis.causes if effect_class(cause.effect).is_load_law)
     effect = next(laws, None)
     before, after = diagnosis.closure.before_rms_m, diagnosis.closure.after_rms_m
     if effect is None or before is None or after is None:
         return None
     from calib.odometry.simulation import Improvement, paper_headline
 
-    sole = not any(effect in group.effects for group in diagnosis.groups)
+    sole = not any(effect in group for group in diagnosis.groups)
     campaign = Improvement(float(before), float(after), before / after if after > 0.0 else None)
     here = f"this campaign: {_metres(before)} m to {_metres(after)} m"
     if campaign.ratio is not None:

@@ -302,9 +302,8 @@ class TravelDirection(Effect):
         return self.offer([(label, (parameter,), always(on_both(sense))) for label, sense in senses.items()])
 
 
-#: heading on the floor -> share, and share and way -> what it does, each by step
+#: heading on the floor -> share by step
 _Share = Callable[[FloatArray], FloatArray]
-_Act = Callable[[FloatArray, FloatArray], Perturbation]
 
 
 def _to_the_right(heading_rad: FloatArray) -> FloatArray:
@@ -341,39 +340,31 @@ class FloorSlope(Effect):
         drift = Parameter("drift", "1", typical=1e-3, largest=2e-2)
         sided = observations.applied or bool((observations.total(way * np.abs(np.sin(heading))) > 0.02 * length).any())
 
-        def radii_by(share: FloatArray, _way: FloatArray) -> Perturbation:
-            return on_both(share)
+        def acts(one: Parameter, share: FloatArray, way: FloatArray) -> Perturbation:
+            if one.name.startswith(radii.name):
+                return on_both(share)
+            pulls = one.name.startswith(pull.name)
+            return Perturbation(heading_rad=way * share) if pulls else Perturbation(lateral_m=way * share)
 
-        def pull_by(share: FloatArray, way: FloatArray) -> Perturbation:
-            return Perturbation(heading_rad=way * share)
-
-        def drift_by(share: FloatArray, way: FloatArray) -> Perturbation:
-            return Perturbation(lateral_m=way * share)
-
-        offered: list[tuple[str, list[tuple[Parameter, _Act, _Share]]]] = [
-            ("along x, radii alone", [(radii, radii_by, np.cos)]),
-            ("across, pull alone", [(pull, pull_by, np.cos)]),
-            ("across, drift alone", [(drift, drift_by, np.cos)]),
+        offered: list[tuple[str, dict[Parameter, _Share]]] = [
+            ("along x, radii alone", {radii: np.cos}),
+            ("across, pull alone", {pull: np.cos}),
+            ("across, drift alone", {drift: np.cos}),
         ]
         if sided:
             radii_x, radii_y, pull_x, pull_y, drift_x, drift_y = (
                 replace(one, name=f"{one.name}_{axis}") for one in (radii, pull, drift) for axis in ("x", "y")
             )
             offered += [
-                ("along x, radii and pull", [(radii, radii_by, np.cos), (pull, pull_by, np.sin)]),
-                ("any direction, radii alone", [(radii_x, radii_by, np.cos), (radii_y, radii_by, np.sin)]),
-                ("any direction, pull alone", [(pull_x, pull_by, _to_the_right), (pull_y, pull_by, np.cos)]),
-                ("any direction, drift alone", [(drift_x, drift_by, _to_the_right), (drift_y, drift_by, np.cos)]),
+                ("along x, radii and pull", {radii: np.cos, pull: np.sin}),
+                ("any direction, radii alone", {radii_x: np.cos, radii_y: np.sin}),
+                ("any direction, pull alone", {pull_x: _to_the_right, pull_y: np.cos}),
+                ("any direction, drift alone", {drift_x: _to_the_right, drift_y: np.cos}),
             ]
 
-        def perturbations(path: Path, parts: list[tuple[Parameter, _Act, _Share]]) -> list[Perturbation]:
+        def perturbations(path: Path, parts: dict[Parameter, _Share]) -> list[Perturbation]:
             heading, way = map_heading_rad(path), np.abs(path.s.path_m)
-            return [act(share(heading), way) for _, act, share in parts]
+            return [acts(one, share(heading), way) for one, share in parts.items()]
 
-        return self.offer(
-            [
-                (label, tuple(one for one, _, _ in parts), partial(perturbations, parts=parts))
-                for label, parts in offered
-            ],
-            by_parts=True,
-        )
+        offers = [(label, tuple(parts), partial(perturbations, parts=parts)) for label, parts in offered]
+        return self.offer(offers, by_parts=True)

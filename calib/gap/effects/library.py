@@ -93,14 +93,9 @@ DRAWN_SHARE: Final = 0.12
 MAX_ENLARGEMENT: Final = 200.0
 
 
-def effect_class(name: str) -> type[Effect] | None:
-    """Return the class of a registered effect, None for any other id."""
-    return REGISTRY.get(name)
-
-
-def is_load_law(name: str) -> bool:
-    """Return whether an effect is a law of the load: its straight and curved part are one cause."""
-    return name in REGISTRY and REGISTRY[name].is_load_law
+def effect_class(name: str) -> type[Effect]:
+    """Return the class of a registered effect; for any other id that of all, which says nothing in particular."""
+    return REGISTRY.get(name, Effect)
 
 
 def title_of(name: str) -> str:
@@ -112,11 +107,6 @@ def title_of(name: str) -> str:
     if name.startswith(COVARIATE_PREFIX):
         return Covariate(name.removeprefix(COVARIATE_PREFIX)).title
     return name.replace("_", " ")
-
-
-def why_not_transferable(name: str) -> str:
-    """Return why the correction of an effect does not hold for future journeys, empty where it does."""
-    return REGISTRY[name].not_transferable if name in REGISTRY else ""
 
 
 def library(observations: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:

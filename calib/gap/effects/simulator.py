@@ -46,15 +46,12 @@ class Carried:
     """What a step of a parameter does, per unit: as far as wheels can do it a motion, the rest on the readings."""
 
     run_ids: tuple[str, ...]
-    #: left, right, track: shape (n_obs,): relative change of both wheels' travel and of the track
-    left: FloatArray
-    right: FloatArray
-    track: FloatArray
+    wheels: FloatArray  #: shape (n_obs, 3): relative change of the left and right wheel's travel and of the track
     reading: FloatArray  #: shape (n_obs, 4): the rest, of (distance, x, y, heading), in the frame of the run's start
 
     def motion(self, size: float) -> Perturbation:
         """Return the motion that the parameter off by a size makes."""
-        return Perturbation(left=self.left * size, right=self.right * size, track=self.track * size)
+        return Perturbation(*(self.wheels * size).T)
 
 
 class SimulatorParameter(Effect):
@@ -79,9 +76,8 @@ class SimulatorParameter(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """See `Effect`."""
-        carried = self.carried
-        moves = any(part.any() for part in (carried.left, carried.right, carried.track, carried.reading))
-        if not moves or tuple(observations.labels["run_id"]) != carried.run_ids:
+        carried, driven = self.carried, tuple(observations.labels["run_id"])
+        if driven != carried.run_ids or not (carried.wheels.any() or carried.reading.any()):
             return []
 
         def pushed(path: Path) -> list[Perturbation]:
@@ -141,12 +137,14 @@ class WheelMotion:
         proportion to a quantity of the runs, then as wheels off in each run; what explains little is omitted. Of a
         noisy change the first that leaves no more than noise is taken: few numbers hold little of it.
         """
+        from scipy.special import chdtrc
+
         unmoved = np.zeros((len(change), 3)), change
         best, whole = unmoved, self._squares(change).sum()
         for number, basis in enumerate(self.together):
             found = self._sought(change, unmoved, basis, both_ways)
             square = self._squares(found[1]).sum()
-            if self.noisy and _is_noise(square, int(self.on.sum())):
+            if self.noisy and chdtrc(int(self.on.sum()), square) > _NOISE_TAIL:
                 best = found[0], np.zeros_like(change)
                 break
             if not self.noisy and square < _ALL_BUT * whole:
@@ -159,9 +157,8 @@ class WheelMotion:
                 found = self._sought(change, best, basis, both_ways)
                 good = (self._squares(found[1]) < basis.enough * self._squares(best[1]))[:, None]
                 best = np.where(good, found[0], best[0]), np.where(good, found[1], best[1])
-        left, right, track = best[0].T / step
         labels = tuple(self.nominal.s.labels["run_id"])
-        return Carried(labels, left, right, track, np.where(self.on, best[1], 0.0) / step)
+        return Carried(labels, best[0] / step, np.where(self.on, best[1], 0.0) / step)
 
     def _squares(self, left: FloatArray) -> FloatArray:
         return np.asarray(((left * self.weight) ** 2).sum(axis=1))
@@ -183,8 +180,7 @@ class WheelMotion:
         return wheels, left
 
     def _moved(self, wheels: FloatArray) -> FloatArray:
-        moved = Perturbation(left=wheels[:, 0], right=wheels[:, 1], track=wheels[:, 2])
-        return (predict(self.nominal.s, [moved]).reading - self.nominal.reading)[:, :4]
+        return (predict(self.nominal.s, [Perturbation(*wheels.T)]).reading - self.nominal.reading)[:, :4]
 
 
 def _quantities(s: Observations) -> list[FloatArray]:
@@ -192,12 +188,6 @@ def _quantities(s: Observations) -> list[FloatArray]:
     each = [(*s.wheel_loads_N, s.wheel_loads_N.mean(axis=0)), *((number,) * 3 for number in numbers)]
     tables = [np.stack(columns, axis=1) for columns in each]
     return [(table - table.mean()) / table.std() for table in tables if np.isfinite(table).all() and table.std() > 0.0]
-
-
-def _is_noise(square: float, count: int) -> bool:
-    from scipy.special import chdtrc
-
-    return bool(chdtrc(count, square) > _NOISE_TAIL)
 
 
 def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
@@ -220,12 +210,12 @@ def as_simulated(observations: Observations, noise: FloatArray | float = 0.0) ->
         return observations
     change[:, 3] = (change[:, 3] + np.pi) % (2 * np.pi) - np.pi
     carried = WheelMotion(nominal, np.broadcast_to(noise, change.shape)).carried(np.nan_to_num(change), 1.0)
-    unit, model = observations.unit, observations.model
+    model, (left, right, track) = observations.model, 1.0 + carried.wheels.T
     return replace(
         observations,
-        roll_left_rad=observations.roll_left_rad * (1.0 + carried.left[unit]),
-        roll_right_rad=observations.roll_right_rad * (1.0 + carried.right[unit]),
-        model=replace(model, track_m=model.track_m * (1.0 + float(carried.track.mean()))),
+        roll_left_rad=observations.roll_left_rad * left[observations.unit],
+        roll_right_rad=observations.roll_right_rad * right[observations.unit],
+        model=replace(model, track_m=model.track_m * float(track.mean())),
     )
 
 

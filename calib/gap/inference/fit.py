@@ -41,26 +41,30 @@ class Fitted:
     chi_square: float  #: whitened sum of squares of the residual
     left: FloatArray  #: shape (n_units, 6): residuals, not whitened
 
+    def each(self) -> Iterator[tuple[Form, FloatArray, slice]]:
+        """Yield each form, its sizes, and where they stand in the covariance."""
+        first = len(self.calibration)
+        for form, theta in zip(self.forms, self.theta, strict=True):
+            yield form, theta, slice(first, first + len(theta))
+            first += len(theta)
+
     def at_end(self) -> "Fitted":
         """Return the fit as a file holds it: what counts on is zero at the campaign's end."""
-        place, turned = 4, np.eye(len(self.covariance))
-        for form in self.forms:
+        turned = np.eye(len(self.covariance))
+        for form, _, place in self.each():
             if form.end is not None and form.centre is not None:
-                turned[[0, 1], [place, place + 1]] = form.end.mean - form.centre.mean
-            place += len(form.parameters)
+                turned[[0, 1], place] = np.diag([form.end.mean - form.centre.mean] * 2)
         calibration = turned[:4] @ np.concatenate([self.calibration, *self.theta])
         forms = tuple(form.centred_at(form.end) for form in self.forms)
         # relative to the radii there
-        ended = [(size, form.end is not None) for form, size in zip(forms, self.theta, strict=True)]
-        theta = (size / (1.0 + calibration[:2]) if end else size for size, end in ended)
+        theta = (size / (1.0 + calibration[:2]) if form.end is not None else size for form, size, _ in self.each())
         covariance = turned @ self.covariance @ turned.T
         return replace(self, forms=forms, theta=tuple(theta), calibration=calibration, covariance=covariance)
 
     @property
     def parameters(self) -> FloatArray:
         """All theta end to end, in typical sizes, shape (n_parameters,)."""
-        parts = (theta / form.typical for form, theta in zip(self.forms, self.theta, strict=True))
-        return np.concatenate([np.zeros(0), *parts])
+        return np.concatenate([np.zeros(0), *(theta / form.typical for form, theta, _ in self.each())])
 
 
 def calibration_pushes(s: Observations, calibration: FloatArray, path: Path | None) -> list[Perturbation]:
@@ -184,7 +188,7 @@ def fit(
     prior_sd = np.concatenate([np.where(freedom, 1.0, 1e-6), sizes_sd])
     misfit = _Misfit(nominal, noise, forms, freedom, prior_sd, along)
     calibration = np.zeros(4) if start is None or along is not None else np.where(freedom, start.calibration, 0.0)
-    known = {} if start is None else {id(f): t for f, t in zip(start.forms, start.theta, strict=True)}
+    known = {} if start is None else {id(form): sizes for form, sizes, _ in start.each()}
     theta = [known.get(id(form), np.zeros(len(form.parameters))).copy() for form in forms]
     if start is None:
         path = nominal

@@ -151,7 +151,7 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
 
 
 def _current_values(system: LinearSystem, model: Sequence[int]) -> FloatArray:
-    held = {id(form): theta for form, theta in zip(system.fitted.forms, system.fitted.theta, strict=True)}
+    held = {id(form): theta for form, theta, _ in system.fitted.each()}
     forms = [system.forms[k] for k in model]
     sizes = [held.get(id(form), np.zeros(len(form.parameters))) for form in forms]
     return np.concatenate([system.fitted.calibration, *sizes])

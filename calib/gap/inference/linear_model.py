@@ -43,7 +43,7 @@ class LinearSystem:
             self.of(number)[rows] = fitting.whitened_rows(path, noise, some, units)
         self.left = fitting.whitened(path, noise, residuals(path, nominal))[order]
         gap = self.left + self.calibration @ (fitted.calibration / CALIBRATION_SD)
-        for number, form, theta in zip(self.numbers(fitted.forms), fitted.forms, fitted.theta, strict=True):
+        for number, (form, theta, _) in zip(self.numbers(fitted.forms), fitted.each(), strict=True):
             gap = gap + self.of(number) @ (theta / form.typical)
         self.gap = self.whole[:, self._n_narrow] = gap
         for number, where in self._common.items():

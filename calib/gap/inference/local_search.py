@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.effects.library import is_load_law
+from calib.gap.effects.library import effect_class
 from calib.gap.inference.fit import Fitted, by_form
 from calib.gap.inference.least_squares import Weighting, controlled_step
 from calib.gap.inference.linear_model import LinearSystem
@@ -59,7 +59,7 @@ class LocalSearch:
         self.settings, self.largest_scale = settings, np.inf
         fitted = whole.fitted
         held = whole.numbers(fitted.forms)
-        sizes = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
+        sizes = [theta / form.typical for form, theta, _ in fitted.each()]
         kept = self._forms_to_offer(whole, held, sizes)
         self.system = whole.only(kept)
         self.columns = FormPriors.from_forms(self.system.forms, settings.further)
@@ -92,7 +92,9 @@ class LocalSearch:
         for k, size in own.items():
             name = system.forms[k].effect
             # straight and curved part may be large and opposite
-            deviations["law" if is_load_law(name) else name] += self.settings.tolerance * (system.of(k) @ size)
+            deviations["law" if effect_class(name).is_load_law else name] += self.settings.tolerance * (
+                system.of(k) @ size
+            )
         return np.stack([*deviations.values()], axis=1) if deviations else np.zeros((len(system.gap), 0))
 
     @property

@@ -58,12 +58,8 @@ class Basis(StrEnum):
     NOTHING = "nothing: nothing was driven twice, and the sigmas were assumed"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _NoiseSupport:
-    basis: Basis
-    labels: IntArray  #: shape (n_units,): units that are compared share a number
-    trends: components.Trends | None  #: what may differ between them and is no noise
-    dof: float
+#: basis, labels (n_units,) that units share which are compared, trends between these that are no noise, and least dof
+_NoiseSupport = tuple[Basis, IntArray, components.Trends | None, float]
 
 
 def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
@@ -72,23 +68,23 @@ def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
     alike = Basis.WINDOWS if observations.windowed else Basis.REPEATS
     ambient = components.ambient_trends(path)
     trends = replace(ambient, after=np.concatenate([ambient.after, *components.ambient_interactions(path)], axis=2))
-    yield _NoiseSupport(alike, observations.cell, None, enough)
-    yield _NoiseSupport(alike, observations.condition, trends, enough)
+    yield alike, observations.cell, None, enough
+    yield alike, observations.condition, trends, enough
     near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
     beside = repeatability.neighbours(observations.condition, NEIGHBOURS_TOGETHER)
     # a session may end between neighbours
-    yield _NoiseSupport(near, beside, components.session_steps(path), enough)
-    yield _NoiseSupport(near, beside, None, enough)
-    yield _NoiseSupport(alike, observations.condition, trends, MIN_DOF)
-    yield _NoiseSupport(alike, observations.cell, None, MIN_DOF)
-    yield _NoiseSupport(near, beside, None, MIN_DOF)
+    yield near, beside, components.session_steps(path), enough
+    yield near, beside, None, enough
+    yield alike, observations.condition, trends, MIN_DOF
+    yield alike, observations.cell, None, MIN_DOF
+    yield near, beside, None, MIN_DOF
     if observations.windowed:
-        yield _NoiseSupport(near, repeatability.neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF)
+        yield near, repeatability.neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF
     else:
         loads = components.load_speed_trends(path)
         with_loads = replace(trends, before=np.concatenate([loads, trends.before], axis=2))
-        yield _NoiseSupport(Basis.ROUTE, observations.kind, with_loads, MIN_DOF)
-        yield _NoiseSupport(Basis.ROUTE, observations.kind, components.Trends.of_all(loads), MIN_DOF)
+        yield Basis.ROUTE, observations.kind, with_loads, MIN_DOF
+        yield Basis.ROUTE, observations.kind, components.Trends.of_all(loads), MIN_DOF
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,39 +123,35 @@ class Noise:
         return deviation
 
 
-def estimate_noise(path: Path, gap: FloatArray, *, start: Noise | None = None) -> Noise:
+def estimate_noise(path: Path, gap: FloatArray) -> Noise:
     """Estimate the noise from replicates.
 
     These are units of one cell; else of one condition, with trends on the surroundings removed; else neighbours; else
     runs of one route with trends on loads and speeds; at last the stated sigmas. The first that supports a floor is
     taken, else the first with the degrees of freedom. Scales not determined keep their prior.
 
-    `gap`: (n_units, 6), measured minus predicted about `path`; `start`: an estimate about another path.
+    `gap`: (n_units, 6), measured minus predicted about `path`.
     """
     shapes = components.NoiseComponents.about(path)
-    begin = np.log(components.PRIOR_MEDIANS)
-    if start is not None:
-        known = [start.scales.get(name, median) for name, median, _ in components.COMPONENTS]
-        begin = np.log(np.maximum(known, 1e-300))
-    first = None
-    for support in _noise_supports(path):
-        grouped = repeatability.Replicates.by(support.labels)
+    first, prior = None, np.log(components.PRIOR_MEDIANS)
+    for basis, labels, trends, enough in _noise_supports(path):
+        grouped = repeatability.Replicates.by(labels)
         if len(grouped.units) == 0:
             continue
-        whole = repeatability.ScaleLikelihood(path, gap, shapes, grouped, support.trends)
-        if whole.dof < support.dof:
+        whole = repeatability.ScaleLikelihood(path, gap, shapes, grouped, trends)
+        if whole.dof < enough:
             continue
         some = repeatability.thinned_replicates(grouped)
-        part = whole if some is grouped else repeatability.ScaleLikelihood(path, gap, shapes, some, support.trends)
-        log_scale = repeatability.most_likely_scales(whole if part.dof < MIN_DOF else part, begin)
+        part = whole if some is grouped else repeatability.ScaleLikelihood(path, gap, shapes, some, trends)
+        log_scale = repeatability.most_likely_scales(whole if part.dof < MIN_DOF else part, prior)
         weight = np.ones(len(gap))
         weight[whole.grouped.units] = whole.weights(log_scale)
-        noise = _noise(path, shapes, log_scale, weight, support.basis, whole.dof)
+        noise = _noise(path, shapes, log_scale, weight, basis, whole.dof)
         if noise.supported:
             return noise
         # differences that may be a gap: the next support
         first = first or noise
-    return first or _noise(path, shapes, np.log(components.PRIOR_MEDIANS), np.ones(len(gap)), Basis.STATED, 0.0)
+    return first or _noise(path, shapes, prior, np.ones(len(gap)), Basis.STATED, 0.0)
 
 
 def _noise(
@@ -203,58 +195,40 @@ def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, exces
         return False, f"nothing: {words}"
     if most <= STATED_EXCESS or basis is not Basis.WINDOWS:
         return True, counted
-    return _by_growth(path, covariance, counted, window_growth(path))
-
-
-def _by_growth(path: Path, covariance: FloatArray, counted: str, growth: "WindowGrowth | None") -> tuple[bool, str]:
-    if growth is None:
+    if (growth := window_growth(path)) is None:
         return False, f"nothing: {counted} scatter more than stated, and there are too few to see how that grows"
-    # the place strays by length^(3/2): the heading alone tells
-    heading = Channel.HEADING
+    heading, (lengths_m, parts) = Channel.HEADING, growth
     floor = float(np.sqrt(covariance[path.s.usable[:, heading], heading, heading].mean()))
-    if floor > MAX_GROWTH_RATIO * growth.noise_rms[2]:
+    if floor > MAX_GROWTH_RATIO * np.sqrt(parts[0] + parts[1]):
         return False, f"nothing: what differs between {counted} grows in proportion to their length, as no noise does"
-    return True, f"{counted}, of {growth.length_m[0]:.2g} to {growth.length_m[-1]:.2g} m"
+    return True, f"{counted}, of {lengths_m[0]:.2g} to {lengths_m[-1]:.2g} m"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WindowGrowth:
-    """Mean squares of the residual in windows of several lengths, by their growth."""
+def window_growth(path: Path) -> tuple[FloatArray, FloatArray] | None:
+    """Return how the heading's residual grows with the length of windows; None if too few.
 
-    length_m: FloatArray  #: shape (n_lengths,): mean length of the windows
-    #: shape (3, 3): of along, lateral, heading at the shortest length: constant, with the length, with its square
-    parts: FloatArray
-
-    @property
-    def noise_rms(self) -> FloatArray:
-        """Rms that is noise in the shortest windows, along, lateral, heading, shape (3,)."""
-        rms: FloatArray = np.sqrt(self.parts[:, 0] + self.parts[:, 1])
-        return rms
-
-
-def window_growth(path: Path) -> WindowGrowth | None:
-    """Return how the residual grows with the length of the windows; None if too few."""
+    The place strays by length^(3/2): the heading alone tells noise. Mean lengths (n_lengths,) of windows joined, and
+    the mean square in the shortest that is constant, grows with the length, and with its square, (3,).
+    """
     from scipy.optimize import nnls
 
-    chains = _chains(path)
+    chains, seen = _chains(path), path.s.measured[:, Channel.HEADING] - path.end[:, 2]
     lengths, squares = [], []
     for joined in JOINED_WINDOWS:
         firsts = [first for a, b in chains for first in range(a, b - joined + 1, joined)]
-        left = [_residual_of(path, first, first + joined) for first in firsts]
-        if len(left) < MIN_WINDOWS:
+        if len(firsts) < MIN_WINDOWS:
             break
-        rows = np.array(left)
-        lengths.append(float(rows[:, 0].mean()))
-        squares.append((rows[:, 1:] ** 2).mean(axis=0))
+        windows = np.array(firsts)[:, None] + np.arange(joined)
+        lengths.append(path.s.length_m[windows].sum(axis=1).mean())
+        squares.append((seen[windows].sum(axis=1) ** 2).mean())
     if len(lengths) < len(JOINED_WINDOWS) - 1:
         return None
     length, square = np.array(lengths), np.array(squares)
     times = length / length[0]
     laws = np.stack([np.ones(len(times)), times, times**2], axis=1)
     # by relative uncertainty
-    weight = 1.0 / (np.maximum(square, 1e-300) * np.sqrt(times)[:, None])
-    parts = np.stack([nnls(laws * weight[:, [k]], square[:, k] * weight[:, k])[0] for k in range(3)])
-    return WindowGrowth(length, parts)
+    weight = 1.0 / (np.maximum(square, 1e-300) * np.sqrt(times))
+    return length, np.asarray(nnls(laws * weight[:, None], square * weight)[0])
 
 
 def _chains(path: Path) -> list[tuple[int, int]]:
@@ -264,18 +238,3 @@ def _chains(path: Path) -> list[tuple[int, int]]:
     breaks = np.flatnonzero(~(follows & posed[1:] & posed[:-1])) + 1
     edges = [0, *breaks.tolist(), len(posed)]
     return [(a, b) for a, b in pairwise(edges) if posed[a]]
-
-
-def _residual_of(path: Path, first: int, behind: int) -> FloatArray:
-    motions = path.s.measured[first:behind, POSE_CHANNELS], path.end[first:behind]
-    real, model = map(_chained_pose, motions)
-    dx, dy = real[:2] - model[:2]
-    c, s = np.cos(real[2]), np.sin(real[2])
-    length = path.s.length_m[first:behind].sum()
-    return np.array([length, c * dx + s * dy, c * dy - s * dx, real[2] - model[2]])
-
-
-def _chained_pose(motions: FloatArray) -> FloatArray:
-    heading = np.concatenate(([0.0], np.cumsum(motions[:, 2])))
-    place = ((motions[:, 0] + 1j * motions[:, 1]) * np.exp(1j * heading[:-1])).sum()
-    return np.array([place.real, place.imag, heading[-1]])

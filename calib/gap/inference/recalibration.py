@@ -233,7 +233,7 @@ def judge_recalibration(
         subsets = tuple(tuple(NAMES[k] for k in subset) for subset in SUBSETS)
         return Recalibration(subsets, np.eye(len(SUBSETS))[0], held, held, held)
     system = LinearSystem(fitted, nominal, noise, fitted.forms)
-    own = [theta / form.typical for form, theta in zip(fitted.forms, fitted.theta, strict=True)]
+    own = [theta / form.typical for form, theta, _ in fitted.each()]
     values = OF_WHEELS @ fitted.calibration[:3]
     sd = np.sqrt(np.diag(OF_WHEELS @ fitted.covariance[:3, :3] @ OF_WHEELS.T))
     shifts = shifts or {}

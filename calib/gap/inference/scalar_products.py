@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects.effect import Form
-from calib.gap.effects.library import is_load_law
+from calib.gap.effects.library import effect_class
 from calib.gap.inference.lack_of_fit import Blocks, LackOfFit
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -91,7 +91,7 @@ class FormPriors:
         signed = np.array([sum(p.sign != 0 for p in form.parameters) for form in forms])
         log_prior = -np.log([form.tries for form in forms]) - SCALE_CHOICE_COST + np.log(2.0) * signed
         by_count = np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)])
-        is_law = np.array([is_load_law(form.effect) for form in forms], dtype=np.float64)
+        is_law = np.array([effect_class(form.effect).is_load_law for form in forms], dtype=np.float64)
         return FormPriors(tuple(forms), layout, most, sign, own, log_prior, by_count, is_law)
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:

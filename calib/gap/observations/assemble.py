@@ -93,7 +93,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         sigma_distance_m=np.full(len(units), campaign.rangefinder.sigma_m),
         sigma_xy_m=_stated(units, "sigma_xy_m", campaign),
         sigma_theta_rad=np.where(guided, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
-        count_rad=(1 / setup.per_rad.left, 1 / setup.per_rad.right),
+        count_rad=(1 / setup.per_rad[0], 1 / setup.per_rad[1]),
         windowed=any(u.window > 0 for u in units),
         common_frame=setup.in_map or bool(not campaign.reference.frame and {"out", "back"} & {*labels["direction"]}),
         guided=guided,
@@ -184,8 +184,8 @@ def _guided(
         posed[:] = True
     guided = were_guided(measured[:, 0], path, turn * steps.track_m, posed)
     apart_m = turn[guided] * steps.track_m
-    radius = campaign.vehicle.wheel_radius_m
-    if steered_by_counts(apart_m, path[guided], (radius / setup.per_rad.left, radius / setup.per_rad.right)):
+    left_m, right_m = campaign.vehicle.wheel_radius_m / setup.per_rad[:2]
+    if steered_by_counts(apart_m, path[guided], (left_m, right_m)):
         milli = 1e3 * float(np.sqrt(np.mean(apart_m**2)))
         remarks.append(
             f"{int(guided.sum())} runs have a distance and no end pose, and their wheels rolled alike to within "

@@ -1,7 +1,7 @@
 """From a campaign to observations: runs, or windows of recordings, in the frames of their starts."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import compress, pairwise
 from typing import Any, Final
 
@@ -16,7 +16,14 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.observations import observation
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.assemble import assemble, filled_loads
-from calib.gap.observations.observation import Observation, ReferencePoses, Setup, log_rows, observation_from_log
+from calib.gap.observations.observation import (
+    CourseOverGround,
+    Observation,
+    ReferencePoses,
+    Setup,
+    log_rows,
+    observation_from_log,
+)
 from calib.odometry.poses import poses_of_vehicle
 from calib.odometry.routes import loads_in_steps
 from calib.types import FloatArray, IntArray
@@ -37,14 +44,6 @@ LONGEST_RUN_M: Final = 1e6
 MIN_WINDOW_SAMPLES: Final = 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Recorded:
-    """A run with reference poses in its log."""
-
-    unit: Observation
-    reference: ReferencePoses | None
-
-
 def edges_along(way_m: FloatArray, count: float) -> IntArray:
     """Return samples that border windows of equal way, at most one a sample.
 
@@ -55,18 +54,18 @@ def edges_along(way_m: FloatArray, count: float) -> IntArray:
     return np.asarray(np.minimum(edges, len(way_m) - 1), dtype=np.int64)
 
 
-def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
+def cut(whole: Observation, setup: Setup, length_m: float) -> list[Observation]:
     """Cut a recording into windows of about a length of rolling; empty if there is but one.
 
     A front wheel is kept if it drives the odometry, else compared over whole runs only.
     """
-    if (reference := recorded.reference) is None:
+    if (reference := whole.reference) is None:
         return []
-    log = setup.campaign.logs.of(recorded.unit.run)
+    log = setup.campaign.logs.of(whole.run)
     edges = edges_along(reference.travelled_m, float(np.rint(reference.travelled_m[-1] / length_m)))
-    if reference.course is not None:
+    if isinstance(reference, CourseOverGround):
         # courses about a pose, none beside it: wheels that are off bend these
-        half, way = 0.5 * reference.course.way_m, reference.travelled_m
+        half, way = 0.5 * reference.way_m, reference.travelled_m
         edges = np.unique(
             np.clip(edges, np.searchsorted(way, half), np.searchsorted(way, way[-1] - half, side="right") - 1)
         )
@@ -76,7 +75,7 @@ def cut(recorded: Recorded, setup: Setup, length_m: float) -> list[Observation]:
         inside = rows[(rows >= reference.rows[first]) & (rows <= reference.rows[last])]
         if len(inside) < MIN_WINDOW_SAMPLES:
             continue
-        unit = replace(observation_from_log(recorded.unit.run, log, inside, setup.per_rad), window=len(windows))
+        unit = replace(observation_from_log(whole.run, log, inside, setup.per_rad), window=len(windows))
         unit = unit if setup.stands_in else replace(unit, front_rad=None, steer_rad=None)
         windows.append(_between(unit, reference, first, last, setup.campaign.reference))
     return windows if len(windows) > 1 else []
@@ -86,9 +85,9 @@ def _between(unit: Observation, reference: ReferencePoses, first: int, last: int
     (start, start_sd, start_error), (end, end_sd, end_error) = reference.pose(first), reference.pose(last)
     measured = unit.measured.copy()
     measured[1:] = observation.relative_pose(start, end)
-    if reference.course is not None:
+    if isinstance(reference, CourseOverGround):
         # a course is known up to whole turns
-        turned = reference.course.by_wheels[last, 2] - reference.course.by_wheels[first, 2]
+        turned = reference.by_wheels[last, 2] - reference.by_wheels[first, 2]
         measured[3] = turned + (measured[3] - turned + np.pi) % (2 * np.pi) - np.pi
     return replace(
         unit,
@@ -148,8 +147,9 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
             carried = loads_in_steps(load, logs.columns[name], logs.offsets)
             logs = replace(logs, columns={**logs.columns, name: carried})
     campaign = replace(campaign, logs=logs)
-    per_rad = observation.CountsPerRadian.from_encoder(campaign.encoder)
-    return Setup(campaign, model, per_rad, poses_are_in_a_map(campaign), stands_in)
+    encoder = campaign.encoder
+    per_rev = np.array([encoder.counts_per_rev_left, encoder.counts_per_rev_right, encoder.front])
+    return Setup(campaign, model, per_rev / (2 * np.pi), poses_are_in_a_map(campaign), stands_in)
 
 
 def check_distances(campaign: Campaign, observations: Observations) -> None:
@@ -201,7 +201,7 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
             known = (run, observation.reference_poses(log, setup), log.get("t_s", np.zeros(0)))
         _, reference, time = known
         begin, end = starts_s[number], observations.time_s[observations.starts[number + 1] - 1]
-        if reference is None or reference.course is not None:
+        if reference is None or isinstance(reference, CourseOverGround):
             yield None
             continue
         times = time[reference.rows]
@@ -209,7 +209,7 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
         yield (times[inside] - begin, reference.poses[inside]) if inside.sum() > 1 else None
 
 
-def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool, share: float = 1.0) -> Observations:
+def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, share: float = 1.0) -> Observations:
     campaign, references = setup.campaign, [run.reference for run in recorded if run.reference is not None]
     travelled_m = sum(float(each.travelled_m[-1]) for each in references)
     # of three in a usual recording asked for by windows, one begins and ends on the move
@@ -227,7 +227,7 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool, sha
         notes.append(f"{without_counts} runs have no encoder counts and were omitted")
     if n_cut:
         notes.append(f"{n_cut} recordings with a continuous reference were cut into windows of about {length_m:.2g} m")
-    if any(each.course is not None for each in references):
+    if any(isinstance(each, CourseOverGround) for each in references):
         taken = "headings are taken from the course over ground"
         notes.append(f"the reference measures positions without a heading: {taken}")
     ends = np.isfinite(campaign.runs.number("ref_x_m")) & setup.in_map
@@ -248,7 +248,7 @@ def _arranged(recorded: list[Recorded], setup: Setup, *, into_windows: bool, sha
     return observations if all(read) or not any(read) else assemble(setup, list(compress(units, read)), notes)
 
 
-def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
+def _recorded(run: int, setup: Setup, room: FloatArray) -> Observation | None:
     """Return a run with what row and log measured at its end; None without counts.
 
     What varies along it goes into `room`, (n_quantities, n_samples).
@@ -276,8 +276,8 @@ def _recorded(run: int, setup: Setup, room: FloatArray) -> Recorded | None:
         read[:] = np.nan
     pose = poses_of_vehicle(read, campaign.reference, in_map=False)[0]
     simulated = [runs.number(f"sim_{name}")[run] for name in ("distance_m", "x_m", "y_m", "theta_rad")]
-    unit = replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated), **placed)
-    return Recorded(unit, observation.reference_poses(log, setup) if logged else None)
+    placed["reference"] = observation.reference_poses(log, setup) if logged else None
+    return replace(unit, measured=np.array([distance, *pose]), simulated=np.array(simulated), **placed)
 
 
 def _with_end(log: dict[str, FloatArray], end: FloatArray) -> dict[str, FloatArray]:
@@ -289,8 +289,8 @@ def _with_end(log: dict[str, FloatArray], end: FloatArray) -> dict[str, FloatArr
     return {**log, **dict(zip(REFERENCE_POSE, poses, strict=True))}
 
 
-def _with_log_pose(run: Recorded, setup: Setup) -> Observation:
-    unit, reference = run.unit, run.reference
+def _with_log_pose(unit: Observation, setup: Setup) -> Observation:
+    reference = unit.reference
     if reference is None or not np.isnan(unit.measured[1:]).all():
         return unit
     log = setup.campaign.logs.of(unit.run)
@@ -315,6 +315,6 @@ def _with_gyro(unit: Observation, setup: Setup) -> Observation:
 
 def _rolled_outside_m(log: Mapping[str, FloatArray], rows: IntArray, inside: IntArray, setup: Setup) -> float:
     ends = [rows[0], inside[0], inside[-1], rows[-1]]
-    scales = {"counts_left": setup.per_rad.left, "counts_right": setup.per_rad.right}
-    rolled = [np.diff(log[name][ends])[::2] / scale for name, scale in scales.items()]
+    sides = zip(("counts_left", "counts_right"), setup.per_rad, strict=False)
+    rolled = [np.diff(log[name][ends])[::2] / scale for name, scale in sides]
     return float(np.abs(rolled).max() * setup.campaign.vehicle.wheel_radius_m)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign, RunTable
-from calib.campaign.settings import WHEEL_LOADS, Encoder, OdometryModel, Reference
+from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference
 from calib.campaign.wheels import ASIDE, WHEEL_COLUMNS
 from calib.odometry.poses import poses_of_vehicle
 from calib.types import ComplexArray, FloatArray, IntArray, in_frame
@@ -25,28 +25,13 @@ STEPS_WITHOUT_LOG: Final = 40
 HELD_STEPS: Final = 2**21
 
 
-@dataclass(frozen=True, slots=True)
-class CountsPerRadian:
-    """Counts of each encoder for a radian of its wheel."""
-
-    left: float
-    right: float
-    front: float
-
-    @staticmethod
-    def from_encoder(encoder: Encoder) -> "CountsPerRadian":
-        """Return the scales of an encoder section."""
-        per_rev = (encoder.counts_per_rev_left, encoder.counts_per_rev_right, encoder.front)
-        return CountsPerRadian(*(counts / (2 * np.pi) for counts in per_rev))
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
     """What all runs are read with."""
 
     campaign: Campaign
     model: OdometryModel  #: what the simulator believes
-    per_rad: CountsPerRadian
+    per_rad: FloatArray  #: shape (3,): counts of left, right and front encoder for a radian of its wheel
     in_map: bool  #: whether reference poses stand in one frame for all runs
     stands_in: bool  #: whether both wheels represent a front wheel, or four
 
@@ -87,6 +72,7 @@ class Observation:
     #: a second that it reads late beyond that of a measured heading
     course_error: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
     by_gyro: bool = False  #: whether a gyro measured its turn
+    reference: "ReferencePoses | None" = None  #: of a run, by its log
 
     @property
     def n_steps(self) -> int:
@@ -115,9 +101,7 @@ def _evenly(n_rows: int) -> IntArray:
     return np.unique(np.linspace(0, n_rows - 1, MAX_STEPS + 1).astype(np.int64))
 
 
-def observation_from_log(
-    run: int, log: Mapping[str, FloatArray], rows: IntArray, per_rad: CountsPerRadian
-) -> Observation:
+def observation_from_log(run: int, log: Mapping[str, FloatArray], rows: IntArray, per_rad: FloatArray) -> Observation:
     """Make a unit, not yet measured, of two or more samples of a log, thinned here.
 
     Front wheel or shaft count where all their samples are there.
@@ -130,9 +114,9 @@ def observation_from_log(
         run=run,
         window=0,
         time_s=log["t_s"][index],
-        left_rad=log["counts_left"][index] / per_rad.left,
-        right_rad=log["counts_right"][index] / per_rad.right,
-        front_rad=None if front is None or np.isnan(front).any() else front / per_rad.front,
+        left_rad=log["counts_left"][index] / per_rad[0],
+        right_rad=log["counts_right"][index] / per_rad[1],
+        front_rad=None if front is None or np.isnan(front).any() else front / per_rad[2],
         steer_rad=None if steer is None or np.isnan(steer).any() else steer,
         aside_m=aside,
         load_left_N=loads[0],
@@ -144,13 +128,13 @@ def _means(samples: FloatArray, index: IntArray) -> FloatArray:
     return np.append(samples[index[0]], np.diff(np.cumsum(samples)[index]) / np.diff(index))
 
 
-def observation_from_row(run: int, runs: RunTable, per_rad: CountsPerRadian) -> Observation | None:
+def observation_from_row(run: int, runs: RunTable, per_rad: FloatArray) -> Observation | None:
     """Make a unit of a row's totals, one arc; None without counts."""
     left, right = float(runs.number("counts_left")[run]), float(runs.number("counts_right")[run])
     if not (np.isfinite(left) and np.isfinite(right)):
         return None
     share, time_s = np.linspace(0.0, 1.0, STEPS_WITHOUT_LOG + 1), _nan(STEPS_WITHOUT_LOG + 1)
-    left_rad, right_rad = share * left / per_rad.left, share * right / per_rad.right
+    left_rad, right_rad = share * left / per_rad[0], share * right / per_rad[1]
     return Observation(run=run, window=0, time_s=time_s, left_rad=left_rad, right_rad=right_rad, from_log=False)
 
 
@@ -174,22 +158,17 @@ class ReferencePoses:
     travelled_m: FloatArray
     in_map: bool  #: whether all runs share the frame
     from_first: bool  #: whether the run's frame is that of its first pose, not of the poses
-    course: "CourseOverGround | None"  #: how headings are made up, if not measured
 
     def pose(self, number: int) -> tuple[FloatArray, float, FloatArray]:
         """Return a pose; of a heading from the course its standard uncertainty (else NaN) and `course_error`, (3,)."""
-        if self.course is None:
-            return self.poses[number], float("nan"), np.zeros(3)
-        return self.course.pose(number)
+        return self.poses[number], float("nan"), np.zeros(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CourseOverGround:
-    """Headings from positions: the course over a short way, less the wheels' heading against it."""
+class CourseOverGround(ReferencePoses):
+    """Positions of the sensor alone, headings from them: the course over a short way, less the wheels' against it."""
 
-    positions: FloatArray  #: shape (n_poses, 2): of the sensor
     by_wheels: FloatArray  #: shape (n_poses, 3): of the vehicle
-    travelled_m: FloatArray  #: shape (n_poses,): roll up to each pose
     place_m: FloatArray  #: shape (2,): the sensor's place on the vehicle
     sigma_xy_m: float  #: standard uncertainty
     way_m: float  #: of a course
@@ -211,14 +190,14 @@ class CourseOverGround:
         if last == len(self.travelled_m) - 1:
             begin = int(np.searchsorted(self.travelled_m, self.travelled_m[-1] - self.way_m, side="right")) - 1
             first = min(first, max(begin, 0))
-        moved = self.positions[last] - self.positions[first]
+        moved = self.poses[last, :2] - self.poses[first, :2]
         wheels = self._sensor_by_wheels(last) - self._sensor_by_wheels(first)
         chord = float(np.hypot(*moved))
         if chord < 0.3 * self.way_m or np.hypot(*wheels) < 0.3 * self.way_m:
             return _nan(3), float("nan"), np.zeros(3)
         course = np.arctan2(moved[1], moved[0]) - np.arctan2(wheels[1], wheels[0])
         heading = self.by_wheels[number, 2] + (course + np.pi) % (2 * np.pi) - np.pi
-        place = self.positions[number] - _turned(self.place_m, heading)
+        place = self.poses[number, :2] - _turned(self.place_m, heading)
         by_place = complex(np.diff(np.exp(1j * self.by_wheels[[first, last], 2]))[0]) / complex(*wheels)
         rate = float((complex(self.velocity_mps[last] - self.velocity_mps[first]) / complex(*wheels)).imag)
         error = np.array([by_place.imag, by_place.real, self.turn_rate_rad_per_s[number] - rate])
@@ -254,35 +233,35 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     if len(rows := all_rows[there]) < (MIN_POSES if heading is None else 2):
         return None
     # at every sample: the vehicle turns between slow poses
-    left = log["counts_left"][all_rows] / per_rad.left * model.radius_left_m
-    right = log["counts_right"][all_rows] / per_rad.right * model.radius_right_m
+    left = log["counts_left"][all_rows] / per_rad[0] * model.radius_left_m
+    right = log["counts_right"][all_rows] / per_rad[1] * model.radius_right_m
     travelled = np.concatenate(([0.0], np.cumsum(0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right))))))[there]
     seen = np.stack([log["ref_x_m"][rows], log["ref_y_m"][rows]], axis=1)
     if heading is None:
         way = max(1.5 * model.track_m, COURSE_SIGMAS * reference.sigma_xy_m)
         by_wheels = _by_wheels(left, right, model.track_m)[there]
         lasts_s = np.gradient(log["t_s"][rows]) if "t_s" in log else np.full(len(rows), np.inf)
-        course = CourseOverGround(
-            positions=seen,
+        # in the frame of its start a sensor on the axle needs no heading, whose makers knew that of the start
+        on_axle = (reference.sensor_x_m, reference.sensor_y_m) == (0.0, 0.0)
+        return CourseOverGround(
+            rows=rows,
+            poses=np.column_stack([seen, np.full(len(rows), np.nan)]),
+            travelled_m=travelled,
+            in_map=setup.in_map,
+            from_first=not (reference.frame == "start" and on_axle),
             by_wheels=by_wheels,
             velocity_mps=np.gradient(by_wheels[:, 0] + 1j * by_wheels[:, 1]) / lasts_s,
             turn_rate_rad_per_s=np.gradient(by_wheels[:, 2]) / lasts_s,
-            travelled_m=travelled,
             place_m=np.array([reference.sensor_x_m, reference.sensor_y_m]),
             sigma_xy_m=reference.sigma_xy_m,
             way_m=min(way, COURSE_SHARE * float(travelled[-1])),
         )
-        # in the frame of its start a sensor on the axle needs no heading, whose makers knew that of the start
-        on_axle = (reference.sensor_x_m, reference.sensor_y_m) == (0.0, 0.0)
-        from_first = not (reference.frame == "start" and on_axle)
-        poses = np.column_stack([seen, np.full(len(rows), np.nan)])
-        return ReferencePoses(rows, poses, travelled, setup.in_map, from_first, course)
     # between two poses alone the wheels tell whole turns
     turned = _by_wheels(left, right, model.track_m)[there, 2] if len(rows) < MIN_POSES else 0.0
     of_sensor = np.column_stack([seen, turned + np.unwrap(heading[rows] - turned)])
     begins_there = not setup.in_map and travelled[0] <= reference.sigma_xy_m and _begins_at_place(of_sensor, reference)
     poses = poses_of_vehicle(of_sensor, reference, in_map=setup.in_map or begins_there)
-    return ReferencePoses(rows, poses, travelled, setup.in_map, from_first=setup.in_map, course=None)
+    return ReferencePoses(rows, poses, travelled, setup.in_map, from_first=setup.in_map)
 
 
 #: poses begin at the sensor's place where the first is off it by less than this share of its distance from the origin,

@@ -87,7 +87,7 @@ def noise_at(path: Path, scales: Mapping[str, float]) -> Noise:
 def sizes_on(offered: Mapping[str, Sequence[Form]], fitted: Fitted) -> list[tuple[Form, FloatArray]]:
     """Return the forms of a fit, as they are on other runs with forms on offer there, and their sizes."""
     sizes = []
-    for form, theta in zip(fitted.forms, fitted.theta, strict=True):
+    for form, theta, _ in fitted.each():
         forms = offered.get(form.effect, ())
         # further routes may part what was one form
         alike = [each for each in forms if len(each.parameters) == len(form.parameters)]

@@ -133,8 +133,8 @@ def _confirmed(
 
 def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
     names = {cause.effect for cause in diagnosis.causes}
-    own = [group for group in first.groups if all(name.startswith(SIMULATOR_PREFIX) for name in group.effects)]
-    lost = [group for group in own if group.effects[0] in names and group not in diagnosis.groups]
+    own = [group for group in first.groups if all(name.startswith(SIMULATOR_PREFIX) for name in group)]
+    lost = [group for group in own if group[0] in names and group not in diagnosis.groups]
     kind = VerdictKind.AMBIGUOUS if lost and diagnosis.kind is VerdictKind.EXPLAINED else diagnosis.kind
     return replace(diagnosis, kind=kind, groups=(*diagnosis.groups, *lost))
 

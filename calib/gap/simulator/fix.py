@@ -127,7 +127,7 @@ def iterated(
     A step that leads away is halved. `start`: a fix already run, by default the diagnosis' parameters.
     """
     fitted = diagnosis.fitted
-    sizes = {form.effect: float(theta[0]) for form, theta in zip(fitted.forms, fitted.theta, strict=True)}
+    sizes = {form.effect: float(theta[0]) for form, theta, _ in fitted.each()}
     named = named_parameters(diagnosis, runner)
     trial = None if start is not None else np.array([sizes[effect] for effect in named])
     return _followed(diagnosis, fitted, runner, differences, named, start, trial)
@@ -209,8 +209,8 @@ def _followed(
 
 
 def _without(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:
-    path, pairs = fitted.path, zip(fitted.forms, fitted.theta, strict=True)
-    theta = [np.zeros_like(size) if form.effect in named else size for form, size in pairs]
+    path = fitted.path
+    theta = [np.zeros_like(size) if form.effect in named else size for form, size, _ in fitted.each()]
     without = hypothesis_path(path.s, fitted.calibration, fitted.forms, theta, path)
     return fitted.left + in_end_frame(path, (path.reading - without.reading)[:, :4])
 
@@ -290,7 +290,7 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
 def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
     """Return a diagnosis that names no parameter, and says so; closure on held-out runs."""
     if diagnosis.kind in NO_GAP_SHOWN or any(
-        name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group.effects
+        name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group
     ):
         return diagnosis
     named = _of_library(diagnosis)

@@ -333,7 +333,7 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
     """Return the step that a diagnosis was, by its verdict and fix; `simulator`: whether it was of the user's own."""
     kind = "recommended" if diagnosis.recommended else diagnosis.kind.value
     if simulator and diagnosis.recommended:
-        tied = any(name.startswith("simulator:") for group in diagnosis.groups for name in group.effects)
+        tied = any(name.startswith("simulator:") for group in diagnosis.groups for name in group)
         kind = "simulator" if diagnosis.fix.parameters else "simulator group" if tied else "simulator lacks"
     # what was corrected before the search has no finite signal
     wrong = diagnosis.correct_first or any(cause.signal == float("inf") for cause in diagnosis.causes)
@@ -347,5 +347,5 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
 def without_runs(diagnosis: Diagnosis) -> str:
     """Return the step where no run tells the causes apart: of two instruments a third length tells which is wrong."""
     instruments = {RangefinderScale.id, ReferenceScale.id}
-    both = any(instruments.issubset(group.effects) for group in diagnosis.groups)
+    both = any(instruments.issubset(group) for group in diagnosis.groups)
     return "plan instruments" if both else "plan nothing"

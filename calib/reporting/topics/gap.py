@@ -190,7 +190,7 @@ def confounded_blocks(verdict: Diagnosis) -> list[Block]:
     """Return the effects that these runs confound, and the credible sets of causes."""
     blocks: list[Block] = []
     if verdict.groups:
-        groups = items(", ".join(group.effects) for group in verdict.groups[:MAX_CAUSES])
+        groups = items(", ".join(group) for group in verdict.groups[:MAX_CAUSES])
         blocks += [Text("Confounded in these runs, since their signatures are the same:"), *groups]
     sets = [" + ".join(names) or "none" for names in verdict.credible_sets]
     if len(sets) > 1:

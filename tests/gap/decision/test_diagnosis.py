@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from calib.gap.decision.diagnosis import BY_MODEL, Cause, Diagnosis, Fix, Group, Quantity, Unexplained, VerdictKind
+from calib.gap.decision.diagnosis import BY_MODEL, Cause, Diagnosis, Fix, Quantity, Unexplained, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement
 from calib.gap.decision.kind import with_left
 from calib.gap.decision.trials import Trial
@@ -33,7 +33,7 @@ FULL = Diagnosis(
         ),
     ),
     credible_sets=(("track_width",),),
-    groups=(Group(("track_width", "curve_scrub")),),
+    groups=(("track_width", "curve_scrub"),),
     undetectable=(
         DetectionLimit("wear", "indistinguishable from a radius or track error", never=True),
         DetectionLimit("side_slip", "0.06 s2/m (slip per acceleration)"),

@@ -100,7 +100,7 @@ def test_a_length_that_no_vehicle_is_off_by_is_no_fix(
 
 
 def test_the_bounds_of_lengths_are_those_of_the_geometry() -> None:
-    bounds = {name: kind.wrong_beyond for name in NAMES if (kind := effect_class(name))}
+    bounds = {name: effect_class(name).wrong_beyond for name in NAMES}
     assert bounds == {**dict.fromkeys(NAMES, PLAUSIBLE_CHANGE), "track_width": PLAUSIBLE_TRACK_CHANGE}
 
 

@@ -58,7 +58,7 @@ def test_a_temperature_that_rises_with_the_session_is_not_told_from_wear(diagnos
     assert verdict.kind is VerdictKind.AMBIGUOUS
     (cause,) = verdict.causes
     assert cause.probability <= 0.5
-    assert any({"temperature_radius", "wear"} <= set(group.effects) for group in verdict.groups)
+    assert any({"temperature_radius", "wear"} <= set(group) for group in verdict.groups)
     assert not verdict.recommended and any("corrections part" in why for why in verdict.fix.why)
     assert any(f"{cause.effect} from " in run.why for run in verdict.next_runs)
 
@@ -89,7 +89,7 @@ def both_ways(speeds_mps: dict[str, tuple[float, float]]) -> list[Run]:
 
 def test_a_direction_with_a_speed_of_its_own_is_not_told_from_the_speed(diagnosing: Diagnosing) -> None:
     verdict = diagnosing(campaign(both_ways({"out": (0.3, 0.3), "back": (0.6, 0.6)}), truth=noisy(by_direction, 3)))
-    assert any({"travel_direction", "speed_radius"} <= set(group.effects) for group in verdict.groups)
+    assert any({"travel_direction", "speed_radius"} <= set(group) for group in verdict.groups)
     assert not verdict.recommended
     assert any("travel_direction from speed_radius" in run.why for run in verdict.next_runs)
 
@@ -98,7 +98,7 @@ def test_a_direction_at_both_speeds_is_told_from_the_speed(diagnosing: Diagnosin
     verdict = diagnosing(
         campaign(both_ways({"out": (0.3, 0.6), "back": (0.3, 0.6)}), truth=noisy(by_direction, 3)), plan=False
     )
-    assert "speed_radius" not in {name for group in verdict.groups for name in group.effects}
+    assert "speed_radius" not in {name for group in verdict.groups for name in group}
     assert verdict.recommended
 
 

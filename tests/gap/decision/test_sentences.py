@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from calib.gap.decision.decide import tied_with
-from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Group, Quantity, VerdictKind
+from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.decision.sentences import advice, headline, sentence
 from calib.gap.localise.along_run import PlaceResult
@@ -30,7 +30,7 @@ def words(kind: VerdictKind, *channels: ChannelClosure, named: bool = True, agai
 
 def diagnosis(kind: str, *causes: tuple[str, float], recommended: bool = False, tied: bool = False) -> Diagnosis:
     named = tuple(Cause(effect, effect, "", probability, 1.0, 10.0, {}) for effect, probability in causes)
-    groups = (Group((*(effect for effect, _ in causes), "wear")),) if tied else ()
+    groups = ((*(effect for effect, _ in causes), "wear"),) if tied else ()
     return Diagnosis(VerdictKind(kind), "", causes=named, groups=groups, fix=Fix(recommended=recommended))
 
 
@@ -111,9 +111,7 @@ def test_an_improbable_gap_is_stated_with_its_probability(probability: float | N
 @pytest.mark.parametrize("kind", [VerdictKind.AMBIGUOUS, VerdictKind.PARTLY_EXPLAINED])
 def test_confounded_effects_are_named_unless_they_are_too_many_to_identify_the_cause(kind: VerdictKind) -> None:
     closure = Closure(channels=(DISTANCE,))
-    two, seven = (
-        sentence(Diagnosis(kind, "", (CAUSE,), groups=(Group(g),), closure=closure)) for g in (SEVEN[:2], SEVEN)
-    )
+    two, seven = (sentence(Diagnosis(kind, "", (CAUSE,), groups=(g,), closure=closure)) for g in (SEVEN[:2], SEVEN))
     assert "(curve_scrub)" in two and "cannot tell" in two
     assert "(curve_scrub)" not in seven and "7 effects explain it equally well" in seven
 
@@ -121,7 +119,7 @@ def test_confounded_effects_are_named_unless_they_are_too_many_to_identify_the_c
 def test_what_a_cause_cannot_be_told_from_is_said_of_that_cause() -> None:
     """Of two causes, not of the last one in the list."""
     named = diagnosis("partly_explained", ("unequal_radii", 0.9), ("reference_lever_arm", 0.8)).causes
-    groups = (Group(("unequal_radii", "lost_counts")), Group(("reference_lever_arm", "floor_slope")))
+    groups = (("unequal_radii", "lost_counts"), ("reference_lever_arm", "floor_slope"))
     one, both = (
         sentence(Diagnosis(VerdictKind.PARTLY_EXPLAINED, "", named, groups=groups[:n], closure=CLOSED)) for n in (1, 2)
     )
@@ -132,7 +130,7 @@ def test_what_a_cause_cannot_be_told_from_is_said_of_that_cause() -> None:
 @pytest.mark.parametrize("kind", [VerdictKind.AMBIGUOUS, VerdictKind.PARTLY_EXPLAINED])
 def test_what_one_cause_of_two_is_not_told_from_leaves_the_other_identified(kind: VerdictKind) -> None:
     named = diagnosis("ambiguous", ("track_width", 0.7), ("load_radius", 0.96)).causes
-    text = sentence(Diagnosis(kind, "", named, groups=(Group(SEVEN),), closure=CLOSED))
+    text = sentence(Diagnosis(kind, "", named, groups=(SEVEN,), closure=CLOSED))
     assert "6 other effects" in text and "identify" not in text
     assert tied_with(named[:1], [SEVEN]) == [SEVEN] and tied_with(named[1:], [SEVEN]) == []
 
@@ -189,7 +187,7 @@ def _load(effect: str, *, group: tuple[str, ...] = (), before: float | None = 2.
         kind=VerdictKind.AMBIGUOUS if group else VerdictKind.EXPLAINED,
         sentence="",
         causes=(cause,),
-        groups=(Group(group),) if group else (),
+        groups=(group,) if group else (),
         closure=Closure() if before is None else Closure(before_rms_m=before, after_rms_m=after),
         fix=Fix(recommended=True),
     )

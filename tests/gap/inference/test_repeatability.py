@@ -138,11 +138,11 @@ def test_growth_tells_reference_walk_and_systematic_apart(given: str, part: int)
     observations = recording(9, way_m=400.0, **arguments)
     growth = window_growth(predict(observations))
     assert growth is not None
-    heading = growth.parts[2]
+    lengths_m, heading = growth
     assert heading[part] > 0.6 * heading.sum(), heading
     if given == "walk":
         # 0.02 rad per root metre; some hundred windows
-        assert np.sqrt(heading[1] / growth.length_m[0]) == pytest.approx(0.02, rel=0.25)
+        assert np.sqrt(heading[1] / lengths_m[0]) == pytest.approx(0.02, rel=0.25)
 
 
 def test_thinned_groups_keep_two_of_each_and_the_share_of_all() -> None:

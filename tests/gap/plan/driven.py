@@ -126,12 +126,12 @@ def study(lab: str, cause: str, seeds: int) -> Outcome:
         if not before.groups:
             continue
         ambiguous += 1
-        ties = [group.effects for group in before.groups]
+        ties = [*before.groups]
         by = partial(apart_on, before.arrays)
         runs = next_runs(made, before.effects, before.noise, ties, apart_on=by)
         proposed.append(sum(run.count for run in runs))
         after = diagnose_in_full(with_runs(made, runs, truth, off, rng), plan=False)
-        told += not any(cause in group.effects and set(rivals) & {*group.effects} - {cause} for group in after.groups)
+        told += not any(cause in group and set(rivals) & {*group} - {cause} for group in after.groups)
         named += [found.effect for found in after.causes][:1] == [cause]
     return Outcome(ambiguous, told, named, float(np.mean(proposed)) if proposed else 0.0)
 

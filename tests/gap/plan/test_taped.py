@@ -47,7 +47,7 @@ def test_a_laser_of_wrong_scale_is_told_from_the_radii_and_track_by_a_tape(
     """What a recalibration absorbs is confounded with that, not with the library; the run proposed settles it."""
     before = diagnosing(by_laser())
     named = {cause.effect for cause in before.causes}
-    (group,) = (set(group.effects) for group in before.groups)
+    (group,) = (set(group) for group in before.groups)
     assert named <= INSTRUMENT and group <= INSTRUMENT | {"radius_scale", "track_width"} and "radius_scale" in group
     assert not before.recommended
     assert any(run.tape and "ref_x_m" in run.why and run.size.endswith(" m") for run in before.next_runs)

@@ -113,7 +113,7 @@ def test_what_no_parameter_does_is_left_to_the_library(tmp_path: Path) -> None:
         return {"wheel_radius_left": radius, "wheel_radius_right": radius}
 
     full = diagnosed(tmp_path, hidden).diagnosis
-    named = {cause.effect for cause in full.causes} | {name for group in full.groups for name in group.effects}
+    named = {cause.effect for cause in full.causes} | {name for group in full.groups for name in group}
     assert "temperature_radius" in named
     assert not any(name.startswith("simulator:") for name in named)
     assert "No parameter of your simulator can do this" in full.sentence

@@ -118,7 +118,7 @@ def test_a_parameter_that_does_the_same_stays_in_the_verdict(tmp_path: Path) -> 
     """A run with one of two that do the same, further off, does not exclude the other."""
     found = diagnosed(tmp_path, TYRE, tyre, {"tyre": 100.6, "track": 0.695})
     assert found.kind is VerdictKind.AMBIGUOUS
-    assert {"simulator:tyre", "simulator:counts"} in [set(group.effects) for group in found.groups]
+    assert {"simulator:tyre", "simulator:counts"} in [set(group) for group in found.groups]
 
 
 def test_what_two_parameters_may_do_in_part_is_no_whole_explanation(tmp_path: Path) -> None:
