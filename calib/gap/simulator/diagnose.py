@@ -71,8 +71,8 @@ def diagnose_simulator(
     cache = run_cache(settings, campaign.hashes)
     runner = SimulatorRunner(settings, root.resolve(), run_ids, cache, workers, progress)
     differences = differences_of(runner, measured.sigma.min(axis=0))
-    _refuse_nonsense(settings, measured, differences)
-    observations = _simulated_observations(measured, differences, differences.nominal)
+    _refuse_nonsense(measured, differences)
+    observations = _simulated_observations(measured, differences)
     if not observations.usable.any():
         raise RefusedError(
             f"{settings.path.name}: the simulator predicts nothing that the campaign measured; write sim_distance_m "
@@ -80,7 +80,7 @@ def diagnose_simulator(
         )
 
     def searched(differences: Differences) -> Diagnosis:
-        candidates, notes = _candidates(observations, differences, settings, exclude, campaign)
+        candidates, notes = _candidates(observations, differences, exclude, campaign)
         diagnosis = diagnose_in_full(
             campaign,
             seed=seed,
@@ -93,42 +93,39 @@ def diagnose_simulator(
         )
         return replace(diagnosis, notes=(*diagnosis.notes, *notes))
 
-    diagnosis = _confirmed(searched, differences, runner, np.random.default_rng(seed))
+    diagnosis = _confirmed(searched, differences, np.random.default_rng(seed))
     # a plan of runs knows no simulator's parameters
     why = tuple(text.replace(PLAN, "other routes, speeds or loads tell") for text in diagnosis.fix.why)
     return SimulatorDiagnosis(replace(diagnosis, fix=replace(diagnosis.fix, why=why)), runner)
 
 
 def _confirmed(
-    searched: Callable[[Differences], Diagnosis],
-    differences: Differences,
-    runner: SimulatorRunner,
-    rng: np.random.Generator,
+    searched: Callable[[Differences], Diagnosis], differences: Differences, rng: np.random.Generator
 ) -> Diagnosis:
     diagnosis = searched(differences)
-    named = named_parameters(diagnosis, runner)
-    found = iterated(diagnosis, runner, differences) if named else None
+    named = named_parameters(diagnosis, differences)
+    found = iterated(diagnosis, differences) if named else None
     if diagnosis.kind in NO_GAP_SHOWN:
         return diagnosis
     if diagnosis.kind is not VerdictKind.EXPLAINED or len(diagnosis.causes) > len(named):
-        tried, by_itself = alone(diagnosis, runner, differences, found)
+        tried, by_itself = alone(diagnosis, differences, found)
         typical = {each.name: each.parameter.typical for each in tried.values()}
         for fix in (by_itself, found):
             if fix is None or fix.deviation.keys() != typical.keys():
                 continue
             through = differences.through(fix.deviation, fix.table, typical)
             again = searched(through)
-            names, parts = named_parameters(again, runner).keys(), {form.effect for form in again.fitted.forms}
+            names, parts = named_parameters(again, differences).keys(), {form.effect for form in again.fitted.forms}
             others = {cause.effect for cause in again.causes} - names
             # not where what it omits has a part, nor for other effects of the library
             if names and names == parts & tried.keys() and others <= {cause.effect for cause in diagnosis.causes}:
                 # beside other effects parameters have other sizes
                 diagnosis = _tied_as(diagnosis, again)
-                found = iterated(again, runner, through, fix if names == tried.keys() else None)
+                found = iterated(again, through, fix if names == tried.keys() else None)
                 break
     if found is None:
         return without_parameter(diagnosis)
-    return fixed(diagnosis, runner, differences, found, rng)
+    return fixed(diagnosis, differences, found, rng)
 
 
 def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
@@ -139,9 +136,9 @@ def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
     return replace(diagnosis, kind=kind, groups=(*diagnosis.groups, *lost))
 
 
-def _simulated_observations(measured: Observations, differences: Differences, table: FloatArray) -> Observations:
+def _simulated_observations(measured: Observations, differences: Differences) -> Observations:
     simulated = np.full((len(measured), N_CHANNELS), np.nan)
-    simulated[:, :4] = table[differences.rows(measured)]
+    simulated[:, :4] = differences.nominal[differences.rows(measured)]
     # but for whole turns of a heading
     simulated[:, 3] += 2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
     usable = measured.usable & np.isfinite(simulated)
@@ -161,20 +158,19 @@ def _simulated_observations(measured: Observations, differences: Differences, ta
     return simulator.as_simulated(observations, noise)
 
 
-def _refuse_nonsense(settings: SimulatorSettings, measured: Observations, differences: Differences) -> None:
-    table = differences.nominal[differences.rows(measured)]
+def _refuse_nonsense(measured: Observations, differences: Differences) -> None:
+    path, table = differences.runner.settings.path, differences.nominal[differences.rows(measured)]
     gone = measured.usable[:, :4] & ~np.isfinite(table) & np.isfinite(table).any(axis=0)
     if gone.any():
         row, column = np.argwhere(gone)[0]
         raise BadInputError(
-            f"{settings.path}: found no {COLUMNS[column]} of run {measured.labels['run_id'][row]}; expected a number "
+            f"{path}: found no {COLUMNS[column]} of run {measured.labels['run_id'][row]}; expected a number "
             "in each run where it was measured; write it, or leave the column out"
         )
     if words := written_wrong(table, predict(measured).reading[:, :4], BLUNDER_MISFIT):
         wrong, cure = words.split("; ", 1)
         raise BadInputError(
-            f"{settings.path}: found that the simulator writes {wrong}; expected ends near those of the logged counts; "
-            f"{cure}"
+            f"{path}: found that the simulator writes {wrong}; expected ends near those of the logged counts; {cure}"
         )
 
 
@@ -189,17 +185,13 @@ def _check_excluded(
 
 
 def _candidates(
-    observations: Observations,
-    differences: Differences,
-    settings: SimulatorSettings,
-    exclude: Sequence[str],
-    campaign: Campaign,
+    observations: Observations, differences: Differences, exclude: Sequence[str], campaign: Campaign
 ) -> tuple[list[Effect], tuple[str, ...]]:
     # what parameters replace or, of the calibration, reproduce is left to these: a parameter can be set
     nominal = predict(observations)
-    own = [effect for effect in differences.effects(settings, nominal) if effect.id not in exclude]
+    own = [effect for effect in differences.effects(nominal) if effect.id not in exclude]
     idle = [effect.parameter.name for effect in own if not effect.forms(observations)]
-    stands_for = {each.effect for cause, each in settings.by_cause.items() if cause not in exclude}
+    stands_for = {each.effect for cause, each in differences.by_cause.items() if cause not in exclude}
     every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
     rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
     noisy = differences.repeats > 1

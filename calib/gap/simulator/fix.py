@@ -19,7 +19,7 @@ from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, 
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
 from calib.gap.predict import Path, residuals
-from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, averaged, difference
+from calib.gap.simulator.runner import Differences, Job, averaged, difference
 from calib.gap.simulator.settings import Declared
 from calib.types import FloatArray, IntArray
 
@@ -58,21 +58,15 @@ class SimulatorFix:
     square: float  #: of the whitened gap left
 
 
-def named_parameters(diagnosis: Diagnosis, runner: SimulatorRunner) -> dict[str, Declared]:
+def named_parameters(diagnosis: Diagnosis, differences: Differences) -> dict[str, Declared]:
     """Return the simulator's parameters that a diagnosis names, by cause."""
-    declared = runner.settings.by_cause
+    declared = differences.by_cause
     return {cause.effect: declared[cause.effect] for cause in diagnosis.causes if cause.effect in declared}
 
 
-def fixed(
-    diagnosis: Diagnosis,
-    runner: SimulatorRunner,
-    differences: Differences,
-    found: SimulatorFix,
-    rng: np.random.Generator,
-) -> Diagnosis:
+def fixed(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, rng: np.random.Generator) -> Diagnosis:
     """Return the diagnosis with what to set and the closure that the simulator shows with it; see `iterated`."""
-    named = named_parameters(diagnosis, runner)
+    named = named_parameters(diagnosis, differences)
     values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
     nominal = diagnosis.nominal
     before = residuals(nominal, nominal)
@@ -119,34 +113,32 @@ def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
     return dict(diagnosis.fix.parameters)
 
 
-def iterated(
-    diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences, start: SimulatorFix | None = None
-) -> SimulatorFix:
+def iterated(diagnosis: Diagnosis, differences: Differences, start: SimulatorFix | None = None) -> SimulatorFix:
     """Run the simulator with the fix, and correct it by secant steps (Broyden 1965) until the runs ask for no more.
 
     A step that leads away is halved. `start`: a fix already run, by default the diagnosis' parameters.
     """
     fitted = diagnosis.fitted
     sizes = {form.effect: float(theta[0]) for form, theta, _ in fitted.each()}
-    named = named_parameters(diagnosis, runner)
+    named = named_parameters(diagnosis, differences)
     trial = None if start is not None else np.array([sizes[effect] for effect in named])
-    return _followed(diagnosis, fitted, runner, differences, named, start, trial)
+    return _followed(diagnosis, fitted, differences, named, start, trial)
 
 
 def alone(
-    diagnosis: Diagnosis, runner: SimulatorRunner, differences: Differences, start: SimulatorFix | None
+    diagnosis: Diagnosis, differences: Differences, start: SimulatorFix | None
 ) -> tuple[dict[str, Declared], SimulatorFix | None]:
     """Return parameters that may do without the other causes, and the fix by them; None where they do not."""
     # the named ones, `start` the fix by them, or those of `_most_able`, fewest first
     assert diagnosis.evidence is not None
     base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
-    own = named_parameters(diagnosis, runner)
+    own = named_parameters(diagnosis, differences)
     # beside effects of the library a fix may lie where the parameters by themselves lead nowhere
     begin = start if len(diagnosis.causes) == len(own) else None
-    for named in (own, *(some for some in _most_able(diagnosis, runner) if some.keys() != own.keys())):
+    for named in (own, *(some for some in _most_able(diagnosis, differences) if some.keys() != own.keys())):
         if named:
             first = begin if named is own else None
-            found = _followed(diagnosis, base, runner, differences, named, first, limit=ALONE_SHARE * base.chi_square)
+            found = _followed(diagnosis, base, differences, named, first, limit=ALONE_SHARE * base.chi_square)
             if found.square < ALONE * square:
                 return named, found
     return own, None
@@ -155,7 +147,6 @@ def alone(
 def _followed(
     diagnosis: Diagnosis,
     fitted: Fitted,
-    runner: SimulatorRunner,
     differences: Differences,
     named: Mapping[str, Declared],
     start: SimulatorFix | None,
@@ -184,7 +175,7 @@ def _followed(
         # one run from nominal shows what a step there does not
         if (now.converged or now.promised >= limit) and (number or start is not None):
             break
-        new = _run(runner, differences, named, trial)
+        new = _run(differences, named, trial)
         scaled, steeper = (trial - at) / typical, slope
         if np.linalg.norm(scaled) > SECANT_SHARE[differences.repeats > 1] * np.linalg.norm(trial / typical):
             miss = difference(new, table) - slope @ (trial - at)
@@ -254,9 +245,8 @@ def _asked(
     )
 
 
-def _run(
-    runner: SimulatorRunner, differences: Differences, named: Mapping[str, Declared], deviation: FloatArray
-) -> FloatArray:
+def _run(differences: Differences, named: Mapping[str, Declared], deviation: FloatArray) -> FloatArray:
+    runner = differences.runner
     values = {each.name: each.nominal + float(d) for each, d in zip(named.values(), deviation, strict=True)}
     what = "the fix " + ", ".join(f"{name} = {value:.6g}" for name, value in values.items())
     jobs = [Job(runner.settings.nominal | values, what, repeat) for repeat in range(differences.repeats)]
@@ -304,19 +294,19 @@ def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
     return replace(diagnosis, sentence=f"{diagnosis.sentence} {why}")
 
 
-def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], FloatArray, FloatArray]:
+def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], IntArray, FloatArray, FloatArray]:
     nominal, own = diagnosis.nominal, [e for e in diagnosis.effects if e.id.startswith(SIMULATOR_PREFIX)]
     forms = [form for effect in own for form in effect.forms(nominal.s)]
     largest = np.array([parameter.largest / parameter.typical for form in forms for parameter in form.parameters])
     columns = [column * size for column, size in zip(signature_columns(nominal, forms), largest, strict=True)]
     gap = residuals(nominal, nominal)[:, :, None]
     whole = whitened_rows(nominal, diagnosis.noise, np.concatenate([*columns, gap], axis=2))
-    return forms, whole[:, :-1], whole[:, -1]
-
-
-def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> Iterator[dict[str, Declared]]:
-    forms, a, r = _signatures(diagnosis)
     sign = np.array([form.parameters[0].sign for form in forms])
+    return forms, sign, whole[:, :-1], whole[:, -1]
+
+
+def _most_able(diagnosis: Diagnosis, differences: Differences) -> Iterator[dict[str, Declared]]:
+    forms, sign, a, r = _signatures(diagnosis)
     chosen: list[int] = []
     for _ in range(MOST_ALONE):
         trials = []
@@ -328,14 +318,14 @@ def _most_able(diagnosis: Diagnosis, runner: SimulatorRunner) -> Iterator[dict[s
         if not trials:
             break
         chosen.append(min(trials)[1])
-        yield {forms[number].effect: runner.settings.by_cause[forms[number].effect] for number in chosen}
+        yield {effect: differences.by_cause[effect] for effect in (forms[number].effect for number in chosen)}
 
 
 def _share_together(diagnosis: Diagnosis) -> float:
-    forms, a, r = _signatures(diagnosis)
+    forms, sign, a, r = _signatures(diagnosis)
     if not forms or not r.any():
         return 0.0
-    left = left_by(a, r, np.array([form.parameters[0].sign for form in forms]))
+    left = left_by(a, r, sign)
     return 1.0 - float(left @ left) / float(r @ r)
 
 
@@ -352,9 +342,8 @@ def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
 
 
 def _forbidden(diagnosis: Diagnosis) -> str:
-    forms, a, r = _signatures(diagnosis)
-    for form, column in zip(forms, a.T, strict=True):
-        sign = form.parameters[0].sign
+    forms, signs, a, r = _signatures(diagnosis)
+    for form, sign, column in zip(forms, signs, a.T, strict=True):
         left = left_by(column[:, None], r, np.array([-sign]))
         if sign and left @ left < (1.0 - ADEQUATE_CLOSURE) * float(r @ r):
             return f" {form.parameters[0].name} of your simulator would, but for the sign = {sign} that it is given."

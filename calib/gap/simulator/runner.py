@@ -205,7 +205,7 @@ SAME_DISTANCE_M: Final = 1e-3
 class Differences:
     """A simulator about its nominal parameters, as (distance, x, y, heading)."""
 
-    run_ids: tuple[str, ...]
+    runner: SimulatorRunner  #: what ran it
     nominal: FloatArray  #: shape (n_runs, 4): NaN if not predicted
     change: Mapping[str, FloatArray]  #: by parameter, shape (n_runs, 4): per unit, 0 if not predicted
     size: Mapping[str, float]  #: by parameter: deviation over which it was taken
@@ -214,12 +214,17 @@ class Differences:
     axis: float | None = None  #: of its distances: 1, along x; 2, straight from the start; None: neither
     met: Mapping[str, float] = field(default_factory=dict)  #: deviations of a run that the changes meet
 
-    def effects(self, settings: SimulatorSettings, nominal: DrivenPath) -> list[SimulatorParameter]:
+    @property
+    def by_cause(self) -> dict[str, Declared]:
+        """The parameters by the id of their cause."""
+        return self.runner.settings.by_cause
+
+    def effects(self, nominal: DrivenPath) -> list[SimulatorParameter]:
         """Return the parameters as effects on a path, the model alone."""
-        rows = self.rows(nominal.s)
+        rows, parameters = self.rows(nominal.s), self.runner.settings.parameters
         wheels = WheelMotion(nominal, self.scatter[rows] * np.sqrt(2.0 / self.repeats))
         carried = {}
-        for each in settings.parameters:
+        for each in parameters:
             # a run met is on one side
             both_ways = self.repeats > 1 and not each.parameter.sign and each.name not in self.met
             size = self.size[each.name]
@@ -232,7 +237,7 @@ class Differences:
             (first, size), *_ = self.met.items()
             missed = np.where(wheels.on, left - moved, 0.0)
             carried[first] = replace(carried[first], reading=carried[first].reading + missed / size)
-        return [SimulatorParameter(each.parameter, carried[each.name], each.family) for each in settings.parameters]
+        return [SimulatorParameter(each.parameter, carried[each.name], each.family) for each in parameters]
 
     def through(self, deviation: Mapping[str, float], table: FloatArray, typical: Mapping[str, float]) -> "Differences":
         """Return the differences adjusted to meet a run's table, by the least change of derivatives (Broyden 1965)."""
@@ -249,7 +254,7 @@ class Differences:
 
     def rows(self, observations: Observations) -> list[int]:
         """Return the row of each observation in the tables."""
-        number = {run_id: row for row, run_id in enumerate(self.run_ids)}
+        number = {run_id: row for row, run_id in enumerate(self.runner.run_ids)}
         return [number[str(run)] for run in observations.labels["run_id"]]
 
 
@@ -287,7 +292,7 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
         if (moved := difference(table, nominal) / size).any():
             change[name], steps[name] = moved, size
     axis = _distance_axis(tables)
-    return Differences(tuple(runner.run_ids), nominal, change, steps, nothing, 1, axis)
+    return Differences(runner, nominal, change, steps, nothing, 1, axis)
 
 
 def _averaged(
@@ -324,7 +329,7 @@ def _averaged(
         sides = [difference(table, middle) / step for (of, step), table in means.items() if of == name]
         change[name] = np.mean(sides, axis=0)
     axis = _distance_axis(list(means.values()))
-    return Differences(tuple(runner.run_ids), middle, change, size, scatter, REPEATS, axis)
+    return Differences(runner, middle, change, size, scatter, REPEATS, axis)
 
 
 def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
