@@ -158,7 +158,7 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
         radii = own[:, :2].sum(axis=1, keepdims=True) if s.by_front else own[:, :2]
         columns = _spread(radii, run, np.ones(len(run), dtype=bool))
         kinds.append(LackOfFit(SCATTER, common=columns, relative=float(np.mean(CALIBRATION_SD[:2] / norm[:2]))))
-    for number, trend in enumerate((ambient_trends(path).columns(), *ambient_interactions(path))):
+    for number, trend in enumerate((ambient_trends(path), *ambient_interactions(path))):
         if trend.shape[2]:
             white = whitened_rows(path, noise, trend)[blocks.order]
             scaled = white / np.maximum(np.sqrt((white**2).mean(axis=0)), 1e-12)

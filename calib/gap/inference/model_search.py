@@ -107,9 +107,8 @@ def search(
 
     gap_certain = at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY
     weigh = partial(_weighed, shifts=shifts)
-    local, fitted, weighed = _best_alternative(
-        *_most_probable(local, fitted, gap_certain, settle, weigh), settle, weigh
-    )
+    most_probable = _most_probable(local, fitted, gap_certain, settle, weigh)
+    local, fitted, weighed = _best_alternative(most_probable, settle, weigh)
     by_model = weighed.probability.sum(axis=0)
     by_set = local.by_effects(weighed.models, by_model)
     order = sorted(by_set, key=lambda key: -by_set[key])
@@ -279,14 +278,14 @@ def _near(moved: _Settled, left: Fitted) -> _Settled | None:
     return moved if fitted.chi_square <= most else None
 
 
-def _most_probable(
-    local: LocalSearch,
-    fitted: Fitted,
-    gap_certain: bool,
-    settle: Callable[[LocalSearch, Fitted], _Settled | None],
-    weigh: Callable[[LocalSearch], _WeighedModels],
-) -> tuple[LocalSearch, Fitted, _WeighedModels]:
-    visited: dict[tuple[str, ...], tuple[LocalSearch, Fitted, _WeighedModels]] = {}
+#: a set fitted from another one's fit, None where that runs away; models weighed about one; a set with these
+_Settle = Callable[[LocalSearch, Fitted], _Settled | None]
+_Weigh = Callable[[LocalSearch], _WeighedModels]
+_Found = tuple[LocalSearch, Fitted, _WeighedModels]
+
+
+def _most_probable(local: LocalSearch, fitted: Fitted, gap_certain: bool, settle: _Settle, weigh: _Weigh) -> _Found:
+    visited: dict[tuple[str, ...], _Found] = {}
     for _ in range(_MAX_SET_CHANGES):
         weighed = weigh(local)
         by_set, own = local.by_effects(weighed.models, weighed.probability.sum(axis=0)), local.current_effects
@@ -339,18 +338,13 @@ def _step(before: Fitted, after: Fitted) -> float:
     return float(np.abs((new - old) / np.sqrt(np.diag(after.covariance))).max())
 
 
-def _best_alternative(
-    local: LocalSearch,
-    fitted: Fitted,
-    weighed: _WeighedModels,
-    settle: Callable[[LocalSearch, Fitted], _Settled | None],
-    weigh: Callable[[LocalSearch], _WeighedModels],
-) -> tuple[LocalSearch, Fitted, _WeighedModels]:
+def _best_alternative(found: _Found, settle: _Settle, weigh: _Weigh) -> _Found:
     """Return the best of a set and of likely ones with another effect in place of one, each about its own path.
 
     In a large gap linearising about another's path errs by more than evidence weighs.
     """
-    best, own, total = (local, fitted, weighed), set(local.current_effects), weighed.probability.sum(axis=0)
+    best, (local, fitted, weighed) = found, found
+    own, total = set(local.current_effects), weighed.probability.sum(axis=0)
     least = total[weighed.models.index(local.current)] * np.exp(-_LIKELY_WINDOW)
     likely = [weighed.models[int(n)] for n in np.argsort(-total) if total[n] > least]
     named = [{form.effect for form in local.forms_of(model)} for model in likely]

@@ -5,7 +5,7 @@ beside a mean in each channel and a calibration of each group. That of windows i
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
@@ -59,15 +59,14 @@ class Basis(StrEnum):
 
 
 #: basis, labels (n_units,) that units share which are compared, trends between these that are no noise, and least dof
-_NoiseSupport = tuple[Basis, IntArray, components.Trends | None, float]
+_NoiseSupport = tuple[Basis, IntArray, FloatArray | None, float]
 
 
 def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
     observations = path.s
     enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
     alike = Basis.WINDOWS if observations.windowed else Basis.REPEATS
-    ambient = components.ambient_trends(path)
-    trends = replace(ambient, after=np.concatenate([ambient.after, *components.ambient_interactions(path)], axis=2))
+    trends = np.concatenate([components.ambient_trends(path), *components.ambient_interactions(path)], axis=2)
     yield alike, observations.cell, None, enough
     yield alike, observations.condition, trends, enough
     near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
@@ -82,9 +81,8 @@ def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
         yield near, repeatability.neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF
     else:
         loads = components.load_speed_trends(path)
-        with_loads = replace(trends, before=np.concatenate([loads, trends.before], axis=2))
-        yield Basis.ROUTE, observations.kind, with_loads, MIN_DOF
-        yield Basis.ROUTE, observations.kind, components.Trends.of_all(loads), MIN_DOF
+        yield Basis.ROUTE, observations.kind, np.concatenate([loads, trends], axis=2), MIN_DOF
+        yield Basis.ROUTE, observations.kind, loads, MIN_DOF
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Noise components: their covariance in the channels of a run, and the trends that are no noise."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import Final
 
@@ -168,50 +168,8 @@ class NoiseComponents:
         return NoiseComponents(kernels, self.fixed[units], self.usable[units], self.active)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Trends:
-    """What may differ between replicates and is no noise, to unit prior variance."""
-
-    #: shape (n_units, 6, k): of all units, which stand before the steps
-    before: FloatArray
-    #: shape (n_units, 6, 2): by a relative step of the left and right radius; none without steps
-    of_step: FloatArray
-    #: shape (n_units,): session numbers; radii may step from one to the next
-    session: IntArray
-    #: shape (n_units, 6, k): the same, after the steps
-    after: FloatArray
-
-    @staticmethod
-    def of_all(shared: FloatArray) -> "Trends":
-        """Return trends of all units, (n_units, 6, k), without steps."""
-        return Trends(shared, shared[:, :, :0], np.zeros(len(shared), dtype=np.int64), shared[:, :, :0])
-
-    @property
-    def shared(self) -> FloatArray:
-        """Those of all units, shape (n_units, 6, k)."""
-        return np.concatenate([self.before, self.after], axis=2)
-
-    @property
-    def n_trends(self) -> int:
-        """Their number, the steps included."""
-        steps = self.of_step.shape[2] * int(self.session.max())
-        return int(self.before.shape[2] + self.after.shape[2] + steps)
-
-    def steps(self) -> FloatArray:
-        """Return each session's standardised steps but the first's, (n_sessions, n_sessions - 1)."""
-        n_sessions, some = int(self.session.max()) + 1, np.unique(self.session, return_index=True)[1]
-        inside = [(self.session == later).astype(np.float64) for later in range(1, n_sessions)]
-        return np.array([_standardised(mine)[0][some] for mine in inside]).reshape(-1, n_sessions).T
-
-    def columns(self) -> FloatArray:
-        """Return all columns, shape (n_units, 6, k)."""
-        of_unit = self.steps()[self.session]
-        steps = self.of_step[:, :, None, :] * of_unit[:, None, :, None] * STEP
-        return np.concatenate([self.before, steps.reshape(*self.before.shape[:2], -1), self.after], axis=2)
-
-
-def ambient_trends(path: Path) -> Trends:
-    """Return what both radii may do with the surroundings and by session."""
+def ambient_trends(path: Path) -> FloatArray:
+    """Return what both radii may do with the surroundings and by session, (n_units, 6, k), to unit prior variance."""
     observations = path.s
     waited = observations.number("minutes_under_load")
     load = observations.number("load_left_N") + observations.number("load_right_N")
@@ -219,8 +177,8 @@ def ambient_trends(path: Path) -> Trends:
     values = [observations.number("temperature_C"), waited, crept]
     values += [column for name, column in observations.numbers.items() if name not in NUMERIC_COLUMNS]
     columns = [(column, (0, 1)) for value in values for column in _standardised(value)]
-    before = np.concatenate([_on_radii(path, columns), _on_reference(path, _standardised(values[0]))], axis=2)
-    return replace(session_steps(path), before=before)
+    on_reference = _on_reference(path, _standardised(values[0]))
+    return np.concatenate([_on_radii(path, columns), on_reference, session_steps(path)], axis=2)
 
 
 def _on_reference(path: Path, columns: Sequence[FloatArray]) -> FloatArray:
@@ -234,11 +192,11 @@ def _on_reference(path: Path, columns: Sequence[FloatArray]) -> FloatArray:
     return np.where(usable[:, :, None], stacked, 0.0)
 
 
-def session_steps(path: Path) -> Trends:
-    """Return what each radius may step by from session to session."""
-    of_step = np.where(path.s.usable[:, :, None], path.calibration[:, :, :2], 0.0)
-    _, session = np.unique(path.s.labels["session"], return_inverse=True)
-    return Trends(of_step[:, :, :0], of_step, session, of_step[:, :, :0])
+def session_steps(path: Path) -> FloatArray:
+    """Return what each radius may step by from session to session, (n_units, 6, k)."""
+    labels, session = np.unique(path.s.labels["session"], return_inverse=True)
+    inside = [_standardised((session == later).astype(np.float64))[0] for later in range(1, len(labels))]
+    return _on_radii(path, [(mine, (0, 1)) for mine in inside])
 
 
 def ambient_interactions(path: Path) -> list[FloatArray]:

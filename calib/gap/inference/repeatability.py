@@ -2,18 +2,14 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
 from calib.gap.inference.noise_components import (
     COMPONENTS,
-    N_CHANNELS,
     PRIOR_MEDIANS,
-    STEP,
     NoiseComponents,
-    Trends,
     whitener_of,
 )
 from calib.gap.predict import Path
@@ -79,14 +75,6 @@ class Replicates:
         total: FloatArray = np.add.reduceat(values, self.first, axis=0)
         return total
 
-    def by_size(self) -> "Replicates":
-        """Return the groups ordered by size."""
-        sizes = np.diff(self.first, append=len(self.units))
-        group = np.argsort(np.argsort(sizes, kind="stable"))[self.group]
-        return Replicates(
-            self.units[np.argsort(group, kind="stable")], np.sort(group), np.cumsum([0, *np.sort(sizes)[:-1]])
-        )
-
 
 def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Replicates:
     """Return about `most` units: the same share, at least two, of evenly chosen groups."""
@@ -103,114 +91,6 @@ def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Repli
     return grouped.select(chosen & (grouped.group % stride == 0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Alike:
-    units: slice  #: their units
-    #: shape (n_units, 6, 9 + q): each group's own, the gap, and its trends
-    columns: FloatArray
-    #: shape (n_groups, q): gap and trends in the basis; its last is nothing
-    index: IntArray
-    #: places of their products among the groups' (one triangle) and the basis'
-    there: IntArray
-    place: IntArray
-
-    @staticmethod
-    def of(units: slice, columns: FloatArray, index: IntArray, n_basis: int) -> "_Alike":
-        known = index != n_basis - 1
-        there = np.flatnonzero(known[:, :, None] & known[:, None, :] & np.tri(index.shape[1], dtype=bool))
-        place = index[:, :, None] * n_basis + index[:, None, :]
-        return _Alike(units, columns, index, there, place.ravel()[there])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class GroupTrends:
-    """Gap and trends of units, group by group in the order of the groups' sizes."""
-
-    alike: list[_Alike]  #: groups of one size
-    places: IntArray  #: of the products of all among those of the basis
-    mix: FloatArray  #: shape (n_basis, 1 + k): gap and trends over the basis
-
-    @staticmethod
-    def of(
-        trends: Trends, units: IntArray, group: IntArray, design: FloatArray, gap: FloatArray
-    ) -> "GroupTrends | None":
-        """Return those of units (n,) in groups (n,), see `Trends`; None where these know about half of the steps.
-
-        `design` (n_units, 6, 9): what each group may have of its own; `gap` (n_units, 6): measured minus predicted.
-        """
-        n_shared, width = trends.shared.shape[2], trends.of_step.shape[2]
-        steps = trends.steps()
-        sessions = len(steps)
-        known, place = np.unique(group * sessions + trends.session[units], return_inverse=True)
-        of_group, session = np.divmod(known, sessions)
-        slot = np.arange(len(known)) - np.searchsorted(of_group, of_group)
-        slots = int(slot.max()) + 1
-        if 2 * slots > sessions:
-            return None
-        first = 1 + n_shared + width
-        columns = np.zeros((len(units), N_CHANNELS, first + width * slots))
-        columns[:, :, 0], columns[:, :, 1 : 1 + n_shared] = gap[units], trends.shared[units]
-        columns[:, :, 1 + n_shared : first] = trends.of_step[units] * STEP
-        index = np.full((int(group.max()) + 1, columns.shape[2]), first + width * sessions)
-        index[:, :first] = np.arange(first)
-        mix = np.zeros((first + width * sessions + 1, 1 + trends.n_trends))
-        mix[: 1 + n_shared, : 1 + n_shared] = np.eye(1 + n_shared)
-        for wheel in range(width):
-            here = first + width * slot + wheel
-            columns[np.arange(len(units)), :, here[place]] = trends.of_step[units, :, wheel] * STEP
-            index[of_group, here] = first + width * session + wheel
-            # from the mean of all units, so all take part in a step
-            away = steps.min(axis=0)
-            own = 1 + n_shared + wheel
-            mix[own:-1:width, own::width] = np.concatenate([away[None], steps - away])
-        columns = np.concatenate([design[units], columns], axis=2)
-        sizes = np.bincount(group)
-        ends = np.concatenate([[0], np.cumsum(sizes)])
-        edges = [0, *(np.flatnonzero(np.diff(sizes)) + 1).tolist(), len(sizes)]
-        alike = []
-        for low, high in pairwise(edges):
-            # a group of few units knows no more sessions than that
-            q = first + width * min(int(sizes[low]), slots)
-            some = slice(int(ends[low]), int(ends[high]))
-            of_some = np.ascontiguousarray(columns[some, :, : N_GROUP_COLUMNS + q])
-            alike.append(_Alike.of(some, of_some, index[low:high, :q], len(mix)))
-        return GroupTrends(alike, np.concatenate([some.place for some in alike]), mix)
-
-    def solved(self, whitener: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """See `ScaleLikelihood.solved`; `prior`: (9,), precision of the groups' own."""
-        from scipy.linalg import solve_triangular
-
-        n_basis, middle = len(self.mix), 0.0
-        products, held = [], []
-        for alike in self.alike:
-            n_groups = len(alike.index)
-            white = (whitener[alike.units] @ alike.columns).reshape(n_groups, -1, alike.columns.shape[2])
-            gram = white.transpose(0, 2, 1) @ white
-            factor, half, log_det = group_factors(gram, prior)
-            middle += log_det
-            left = gram[:, N_GROUP_COLUMNS:, N_GROUP_COLUMNS:] - half.transpose(0, 2, 1) @ half
-            products.append(left.ravel().take(alike.there))
-            own = white[:, :, :N_GROUP_COLUMNS] @ factor.transpose(0, 2, 1)
-            held.append((own, white[:, :, N_GROUP_COLUMNS:] - own @ half))
-        added = np.bincount(self.places, np.concatenate(products), n_basis**2).reshape(n_basis, n_basis)
-        dense = self.mix.T @ (added + added.T - np.diag(np.diag(added))) @ self.mix
-        lower = np.linalg.cholesky(dense[1:, 1:] + np.eye(len(dense) - 1))
-        basis = solve_triangular(lower, np.concatenate([dense[1:, :1], self.mix[:, 1:].T], axis=1), lower=True)
-        along, mixed = basis[:, 0], basis[:, 1:]
-        middle += float(dense[0, 0] - along @ along) + 2 * float(np.log(np.diag(lower)).sum())
-        # of the gap, less what the trends explain
-        beta, inside = -(along @ mixed), mixed.T @ mixed
-        beta[0] = 1.0
-        g, kept = np.empty(whitener.shape[:2]), np.empty_like(whitener)
-        for alike, (own, residual) in zip(self.alike, held, strict=True):
-            g[alike.units] = (residual @ beta[alike.index][:, :, None]).reshape(-1, N_CHANNELS)
-            trend, index = residual[:, :, 1:], alike.index[:, 1:]
-            within = inside.ravel().take(index[:, :, None] * n_basis + index[:, None, :])
-            taken = _squares(own, own) + _squares(trend @ within, trend)
-            kept[alike.units] = np.eye(N_CHANNELS) - taken
-        return g, kept, middle
-
-
 def group_factors(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
     """Return F (n_groups, 9, 9), F^T F the inverse of own products, F times others (n_groups, 9, q), log determinant.
 
@@ -225,32 +105,30 @@ def group_factors(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, Floa
     return factor, factor @ gram[:, :N_GROUP_COLUMNS, N_GROUP_COLUMNS:], log_det
 
 
-def _squares(left: FloatArray, right: FloatArray) -> FloatArray:
-    k = left.shape[2]
-    return left.reshape(-1, N_CHANNELS, k) @ right.reshape(-1, N_CHANNELS, k).transpose(0, 2, 1)
-
-
 class ScaleLikelihood:
     """Restricted likelihood of the noise's scales, for one way of grouping units.
 
-    `gap`: (n_units, 6), measured minus predicted about `path`; `trends`: what between replicates is no noise.
+    `gap`: (n_units, 6), measured minus predicted about `path`; `trends`: (n_units, 6, k), what may differ between
+    replicates and is no noise, to unit prior variance.
     """
 
     def __init__(
-        self, path: Path, gap: FloatArray, shapes: NoiseComponents, grouped: Replicates, trends: Trends | None = None
+        self,
+        path: Path,
+        gap: FloatArray,
+        shapes: NoiseComponents,
+        grouped: Replicates,
+        trends: FloatArray | None = None,
     ) -> None:
-        trends, by_size = trends or Trends.of_all(np.zeros((len(path.s), 6, 0))), grouped.by_size()
+        trends = np.zeros((len(path.s), 6, 0)) if trends is None else trends
         design, self.prior = _group_design(path, gap, grouped)
-        self.known = GroupTrends.of(trends, by_size.units, by_size.group, design, gap)
-        self.grouped = grouped if self.known is None else by_size
-        units = self.grouped.units
+        self.grouped, units = grouped, grouped.units
         self.shapes = shapes.select(units)
         self.active, self.usable = shapes.active, self.shapes.usable
-        self.k = trends.n_trends
+        self.k = trends.shape[2]
         self.own = path.calibration[units, :, :3]
         self.design = design[units]
-        if self.known is None:
-            self.columns = np.concatenate([self.design, trends.columns()[units], gap[units, :, None]], axis=2)
+        self.columns = np.concatenate([self.design, trends[units], gap[units, :, None]], axis=2)
 
     @cached_property
     def dof(self) -> float:
@@ -261,8 +139,6 @@ class ScaleLikelihood:
 
     def solved(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return residual (n, 6), kept (n, 6, 6) of each whitened unit, and the cost's middle term."""
-        if self.known is not None:
-            return self.known.solved(whitener, self.prior)
         k, grouped, columns = self.k, self.grouped, whitener @ self.columns
         x, rest = columns[:, :, :N_GROUP_COLUMNS], columns[:, :, N_GROUP_COLUMNS:]
         turned = x.transpose(0, 2, 1)

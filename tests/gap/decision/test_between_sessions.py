@@ -91,6 +91,7 @@ def test_steps_are_no_alternative_to_what_predicts_the_held_out_sessions(
         nominal=None,
         noise=None,
         search=SimpleNamespace(weighting=None),
+        left_out=None,
     )
     monkeypatch.setattr(constancy, "fit", lambda *_, **__: evidence.fitted)
     monkeypatch.setattr(constancy, "HeldOutFit", lambda *_: None)

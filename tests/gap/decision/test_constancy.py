@@ -118,14 +118,14 @@ def test_the_p_value_that_is_said_counts_all_tests_of_the_campaign(monkeypatch: 
     An effect that may act beside is tried by a test of its own.
     """
     found = SizeDifference("wear", "speed", "a", "b", 2.0, 0.1, 0.01)
-    stubs = {"HeldOutFit": None, "_contributions": {"wear": None}, "_beside": ()}
+    stubs = {"_contributions": {"wear": None}, "_beside": ()}
     for name, value in stubs.items():
         monkeypatch.setattr(constancy, name, lambda *_, value=value: value)
     monkeypatch.setattr(constancy, "_difference", lambda *of: replace(found, by=of[3], p_value=of[-1] or 0.01))
     evidence = SimpleNamespace(
         effects={"wear": SimpleNamespace(per_session=False)}, search=SimpleNamespace(weighting=0)
     )
-    evidence.fitted = evidence.nominal = evidence.noise = evidence.observations = None
+    evidence.fitted = evidence.nominal = evidence.noise = evidence.observations = evidence.left_out = None
     for tests, p_value in ((4, 0.04), (5, None)):
         monkeypatch.setattr(constancy, "groupings", lambda *_, tests=tests, **__: dict.fromkeys(range(tests)))
         differing = size_differences(evidence, ["wear"])  # type: ignore[arg-type]

@@ -12,13 +12,12 @@ from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.inference.noise_components import (
     COMPONENTS,
     NoiseComponents,
-    Trends,
     ambient_interactions,
     ambient_trends,
     kernels,
     quantisation,
 )
-from calib.gap.inference.repeatability import GroupTrends, Replicates, ScaleLikelihood
+from calib.gap.inference.repeatability import Replicates, ScaleLikelihood
 from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict, residuals
 from tests.gap import noise_bias
@@ -111,7 +110,7 @@ def test_the_gradient_of_the_likelihood_is_that_of_central_differences() -> None
     path = predict(s)
     rng = np.random.default_rng(4)
     gap = residuals(path, path) + rng.normal(0, 3e-3, (len(s), 6)) * s.usable
-    trends = replace(ambient_trends(path), after=np.concatenate(ambient_interactions(path)[:2], axis=2))
+    trends = np.concatenate([ambient_trends(path), *ambient_interactions(path)[:2]], axis=2)
     problem = likelihood(path, gap, np.arange(len(s)) // 4, trends)
     weight = rng.uniform(0.3, 1.0, len(problem.usable))
     at = np.log([median for _, median, _ in COMPONENTS]) + rng.normal(0, 0.4, len(NAMES))
@@ -124,30 +123,6 @@ def test_the_gradient_of_the_likelihood_is_that_of_central_differences() -> None
         assert gradient[k] == pytest.approx(change, rel=1e-4, abs=1e-4), NAMES[k]
 
 
-def test_steps_of_many_sessions_weigh_the_same_group_by_group_as_in_one_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cost, gradient and weights; a group knows two of twelve sessions."""
-    s = situation(rich_runs())
-    number = np.arange(len(s))
-    sessions = np.array([f"s{k:02d}" for k in number * 12 // len(s)])
-    s = replace(s, labels={**s.labels, "session": sessions})
-    path = predict(s)
-    rng = np.random.default_rng(6)
-    gap = residuals(path, path) + rng.normal(0, 3e-3, (len(s), 6)) * s.usable
-    trends = ambient_trends(path)
-    by_group = likelihood(path, gap, number // 3, trends)
-    assert by_group.known is not None
-    with monkeypatch.context() as patch:
-        patch.setattr(GroupTrends, "of", staticmethod(lambda *_: None))
-        in_one = likelihood(path, gap, number // 3, trends)
-    assert trends.n_trends == trends.columns().shape[2] == trends.shared.shape[2] + 2 * 11
-    at = np.log([median for _, median, _ in COMPONENTS]) + rng.normal(0, 0.4, len(NAMES))
-    weight = rng.uniform(0.3, 1.0, len(by_group.usable))
-    for some, whole in zip(by_group.cost(at, weight), in_one.cost(at, weight), strict=True):
-        # sums of the same products in another order
-        assert some == pytest.approx(whole, rel=1e-8, abs=1e-8 * float(np.max(np.abs(whole))))
-    assert by_group.weights(at) == pytest.approx(in_one.weights(at), rel=1e-8)
-
-
 def test_trends_that_a_group_has_of_its_own_leave_no_more_than_rounding() -> None:
     """Own columns nearly alike, and trends in their span 1e6 noise levels large: the residual is never less than zero.
 
@@ -156,7 +131,7 @@ def test_trends_that_a_group_has_of_its_own_leave_no_more_than_rounding() -> Non
     s = situation(rich_runs())
     path = predict(s)
     rng = np.random.default_rng(1)
-    problem = likelihood(path, residuals(path, path), np.arange(len(s)) // 4, Trends.of_all(np.zeros((len(s), 6, 4))))
+    problem = likelihood(path, residuals(path, path), np.arange(len(s)) // 4, np.zeros((len(s), 6, 4)))
     n = len(problem.columns)
     alike = rng.standard_normal((n, 6, 1))
     problem.columns[:, :, :9] = alike + 1e-5 * rng.standard_normal((n, 6, 9))
@@ -168,7 +143,7 @@ def test_trends_that_a_group_has_of_its_own_leave_no_more_than_rounding() -> Non
     assert np.linalg.eigvalsh(0.5 * (kept + kept.transpose(0, 2, 1))).max() < 1.0 + 1e-6
 
 
-def likelihood(path: Path, gap: np.ndarray, labels: np.ndarray, trends: Trends | None = None) -> ScaleLikelihood:
+def likelihood(path: Path, gap: np.ndarray, labels: np.ndarray, trends: np.ndarray | None = None) -> ScaleLikelihood:
     return ScaleLikelihood(path, gap, NoiseComponents.about(path), Replicates.by(labels), trends)
 
 
