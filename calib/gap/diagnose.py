@@ -18,7 +18,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
-from calib.gap.decision.held_out import HeldOut, measure_closure
+from calib.gap.decision.held_out import measure_closure
 from calib.gap.decision.kind import fails, kept_back_by_ends, open_questions, tells_more, with_left
 from calib.gap.decision.trials import most_square, trials
 from calib.gap.effects.effect import Effect
@@ -126,8 +126,17 @@ def _judged(
         campaign, observations, nominal = situation.campaign, situation.observations, predict(situation.observations)
         effects, noise, base, searched = _searched(nominal, effects, settings, progress)
     progress(0, 0, "verdict")
-    left_out = HeldOutFit(searched.fitted, nominal, noise, searched.weighting)
-    held_out, fitted = _held_out(situation, searched, effects, left_out, rng), searched.fitted
+    fitted = searched.fitted
+    left_out = HeldOutFit(fitted, nominal, noise, searched.weighting)
+    # where no cause is missing, the residual is noise, and a better estimate of its level
+    factor = (FLOOR_DOF + fitted.chi_square) / (FLOOR_DOF + int(observations.usable.sum()))
+    held_out = measure_closure(
+        left_out,
+        rng,
+        sessions=not any(effect.per_session for effect in effects if effect.id in searched.effects),
+        floor_factor=1.0 if searched.rest > EVEN_PROBABILITY else min(factor, MOST_VARIANCE_FACTOR),
+        as_counted=situation.as_counted,
+    )
     shifts = {effect.id: effect.own_shifts for effect in effects}
     evidence = Evidence(
         situation=situation,
@@ -345,22 +354,3 @@ def _searched(
     if assumed and not _holds(assumed, nominal, noise, searched):
         return _searched(nominal, [each for each in effects if each.id not in assumed], settings, progress)
     return [*effects], noise, base, searched
-
-
-def _held_out(
-    situation: Situation,
-    searched: SearchResult,
-    effects: Sequence[Effect],
-    left_out: HeldOutFit,
-    rng: np.random.Generator,
-) -> HeldOut:
-    best = searched.fitted
-    # where no cause is missing, the residual is noise, and a better estimate of its level
-    factor = (FLOOR_DOF + best.chi_square) / (FLOOR_DOF + int(left_out.observations.usable.sum()))
-    return measure_closure(
-        left_out,
-        rng,
-        sessions=not any(effect.per_session for effect in effects if effect.id in searched.effects),
-        floor_factor=1.0 if searched.rest > EVEN_PROBABILITY else min(factor, MOST_VARIANCE_FACTOR),
-        as_counted=situation.as_counted,
-    )

@@ -206,8 +206,11 @@ class Entry:
     effect: Effect
     #: its signature on the runs at its typical size; None where they do not excite it
     signature: EffectSignature | None
-    #: shape (n_channels,): root mean square change of each channel by kind of run, NaN where a kind lacks the channel
-    changes: Mapping[str, FloatArray]
+
+    @property
+    def changes(self) -> Mapping[str, FloatArray]:
+        """Root mean square change of each channel by kind of run, (n_channels,), NaN where a kind lacks the channel."""
+        return {} if self.signature is None else self.signature.rms_by_kind()
 
     def to_dict(self) -> dict[str, Any]:
         """Return the entry as plain JSON values; sizes in SI units."""
@@ -230,13 +233,8 @@ def catalogue(nominal: Path, declared: object = (), only: Collection[str] = ()) 
     for name in only:
         if name not in every:
             raise BadInputError(f"found the effect {name!r}; expected one of: {', '.join(every)}")
-    entries = []
-    for name, effect in every.items():
-        if not only or name in only:
-            shown = signature_of(effect, nominal)
-            changes = {} if shown is None else shown.rms_by_kind()
-            entries.append(Entry(effect, shown, changes))
-    return entries
+    wanted = (effect for name, effect in every.items() if not only or name in only)
+    return [Entry(effect, signature_of(effect, nominal)) for effect in wanted]
 
 
 #: settings of where a covariate's effect is zero

@@ -146,12 +146,8 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
         for name, columns in offsets.items():
             if not columns.any() or (by_cell and name not in ("calibration", "channels")):
                 continue
-            parts = [
-                _spread(columns[rows_b], cells[blocks.unit[rows_b]], repeated[blocks.unit[rows_b]])
-                if by_cell
-                else columns[rows_b, : columns.shape[1] if repeated[blocks.unit[rows_b.start]] else 0]
-                for rows_b in blocks.slices()
-            ]
+            on = [(columns[rows], blocks.unit[rows]) for rows in blocks.slices()]
+            parts = [_spread(some, cells[unit], repeated[unit]) for some, unit in on]
             kinds.append(LackOfFit(f"{name} by {grouping}", blocks.stacked(parts)))
     run = s.run[blocks.unit]
     if s.windowed and len(np.unique(run)) >= MIN_RECORDINGS and own[:, :2].any():

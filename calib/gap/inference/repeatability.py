@@ -91,20 +91,6 @@ def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Repli
     return grouped.select(chosen & (grouped.group % stride == 0))
 
 
-def group_factors(gram: FloatArray, prior: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Return F (n_groups, 9, 9), F^T F the inverse of own products, F times others (n_groups, 9, q), log determinant.
-
-    `gram`: (n_groups, 9, 9 + q), products of own columns with these and others; `prior`: (9,), precision of the own.
-    """
-    own = gram[:, :N_GROUP_COLUMNS, :N_GROUP_COLUMNS] + np.diag(prior)
-    # on a unit diagonal columns alike stay factorable
-    root = np.sqrt(np.diagonal(own, axis1=1, axis2=2))
-    lower = np.linalg.cholesky(own / (root[:, :, None] * root[:, None, :]) + _ROUNDING * np.eye(N_GROUP_COLUMNS))
-    factor = np.linalg.inv(lower) / root[:, None, :]
-    log_det = 2 * float((np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum())
-    return factor, factor @ gram[:, :N_GROUP_COLUMNS, N_GROUP_COLUMNS:], log_det
-
-
 class ScaleLikelihood:
     """Restricted likelihood of the noise's scales, for one way of grouping units.
 
@@ -139,10 +125,17 @@ class ScaleLikelihood:
 
     def solved(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return residual (n, 6), kept (n, 6, 6) of each whitened unit, and the cost's middle term."""
-        k, grouped, columns = self.k, self.grouped, whitener @ self.columns
-        x, rest = columns[:, :, :N_GROUP_COLUMNS], columns[:, :, N_GROUP_COLUMNS:]
-        turned = x.transpose(0, 2, 1)
-        factors, taken, middle = group_factors(grouped.summed(turned @ columns), self.prior)
+        k, grouped, columns, n_own = self.k, self.grouped, whitener @ self.columns, N_GROUP_COLUMNS
+        x, rest = columns[:, :, :n_own], columns[:, :, n_own:]
+        gram = grouped.summed(x.transpose(0, 2, 1) @ columns)
+        inner = gram[:, :, :n_own] + np.diag(self.prior)
+        # on a unit diagonal columns alike stay factorable
+        root = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
+        lower = np.linalg.cholesky(inner / (root[:, :, None] * root[:, None, :]) + _ROUNDING * np.eye(n_own))
+        middle = 2 * float((np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum())
+        # F^T F is the inverse of the groups' own products
+        factors = np.linalg.inv(lower) / root[:, None, :]
+        taken = factors @ gram[:, :, n_own:]
         own = x @ factors.transpose(0, 2, 1)[grouped.group]
         residual, kept = rest - own @ taken[grouped.group], np.eye(6) - own @ own.transpose(0, 2, 1)
         flat, taken = rest.reshape(-1, k + 1), taken.reshape(-1, k + 1)

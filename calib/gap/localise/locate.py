@@ -167,6 +167,8 @@ def by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> tu
     z = np.divide(gap, floor, out=np.zeros_like(gap), where=observations.usable)
     worst = np.abs(z).argmax(axis=1)
     size = np.abs(z)[np.arange(len(observations)), worst]
+    begin_s, end_s = observations.start_s.tolist(), observations.time_s[observations.starts[1:] - 1].tolist()
+    timed = np.isfinite(np.add(begin_s, end_s)) & observations.windowed
     return tuple(
         RunDeviation(
             run_id=str(observations.labels["run_id"][unit]),
@@ -174,18 +176,11 @@ def by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> tu
             value=float(gap[unit, worst[unit]]),
             floor=float(floor[unit, worst[unit]]),
             z=float(z[unit, worst[unit]]),
-            **_times(observations, unit),
+            from_s=begin_s[unit] if timed[unit] else None,
+            to_s=end_s[unit] if timed[unit] else None,
         )
         for unit in np.argsort(-size, kind="stable")[:MAX_LISTED_RUNS].tolist()
     )
-
-
-def _times(observations: Observations, unit: int) -> dict[str, float]:
-    first, last = observations.starts[unit], observations.starts[unit + 1] - 1
-    begin, end = float(observations.time_s[first] - observations.duration_s[first]), float(observations.time_s[last])
-    if not observations.windowed or not np.isfinite([begin, end]).all():
-        return {}
-    return {"from_s": begin, "to_s": end}
 
 
 def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
