@@ -125,11 +125,6 @@ class Path:
         return c * x_m + sn * y_m, c * y_m - sn * x_m
 
     @cached_property
-    def way_sign(self) -> FloatArray:
-        """Sign of the way along: -1 for an observation driven backwards, shape (n_obs,)."""
-        return np.asarray(np.sign(self.way_m))
-
-    @cached_property
     def calibration(self) -> FloatArray:
         """Derivative of the readings by (left, right radius, track, front radius), shape (n_obs, n_channels, 4).
 
@@ -304,7 +299,7 @@ def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
     change = np.zeros((len(s), N_CHANNELS))
     change[:, Channel.ALONG], change[:, Channel.LATERAL] = path.to_end_frame(x, y)
     change[:, Channel.HEADING] = sums[TURN]
-    change[:, Channel.DISTANCE] = np.where(s.axis == 1, x, sums[LINE] * path.way_sign)
+    change[:, Channel.DISTANCE] = np.where(s.axis == 1, x, sums[LINE] * np.sign(path.way_m))
     chords = np.flatnonzero(s.axis == 2)
     if len(chords):
         end_x, end_y = path.end[chords, 0], path.end[chords, 1]

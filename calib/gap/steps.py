@@ -184,13 +184,9 @@ class Steps:
         slope = s.total(weight * da * dh) / np.maximum(s.total(weight * da * da), 1e-12)
         return np.asarray(np.cos(dh - slope[s.unit] * da))
 
-    @cached_property
-    def _known_levers(self) -> dict[str, Lever]:
-        return {}
-
     def lever(self, name: str) -> Lever:
         """Return the lever of a field of a perturbation, or of ``both`` wheels' travel; each is worked out once."""
-        known = self._known_levers
+        known: dict[str, Lever] = vars(self).setdefault("known_levers", {})
         if name not in known:
             known[name] = _LEVERS[name](self)
         return known[name]

@@ -325,17 +325,15 @@ class TurnedReference:
     def correct(self, campaign: Campaign) -> Campaign:
         """Return the campaign with the sensor's yaw stated, y mirrored where that is needed."""
         if self.mirrored:
-            campaign = _with_y_mirrored(campaign)
+            runs, logs = campaign.runs, campaign.logs
+            numbers, columns = (
+                {name: -values if name == "ref_y_m" else values for name, values in each.items()}
+                for each in (runs.numbers, logs.columns)
+            )
+            campaign = replace(campaign, runs=replace(runs, numbers=numbers), logs=replace(logs, columns=columns))
         reference = campaign.reference
         yaw_rad = float(np.angle(np.exp(1j * (reference.sensor_yaw_rad + self.yaw_rad))))
         return replace(campaign, reference=replace(reference, sensor_yaw_rad=yaw_rad))
-
-
-def _with_y_mirrored(campaign: Campaign) -> Campaign:
-    runs, logs = campaign.runs, campaign.logs
-    tables = (runs.numbers, logs.columns)
-    numbers, columns = ({name: -v if name == "ref_y_m" else v for name, v in each.items()} for each in tables)
-    return replace(campaign, runs=replace(runs, numbers=numbers), logs=replace(logs, columns=columns))
 
 
 def find_turned(nominal: Path) -> TurnedReference | None:

@@ -48,6 +48,11 @@ class Fitted:
             yield form, theta, slice(first, first + len(theta))
             first += len(theta)
 
+    def sizes_of(self, forms: Sequence[Form]) -> list[FloatArray]:
+        """Return the sizes of some forms, zero of those that it lacks."""
+        known = {id(form): theta for form, theta, _ in self.each()}
+        return [known.get(id(form), np.zeros(len(form.parameters))) for form in forms]
+
     def at_end(self) -> "Fitted":
         """Return the fit as a file holds it: what counts on is zero at the campaign's end."""
         turned = np.eye(len(self.covariance))
@@ -188,8 +193,7 @@ def fit(
     prior_sd = np.concatenate([np.where(freedom, 1.0, 1e-6), sizes_sd])
     misfit = _Misfit(nominal, noise, forms, freedom, prior_sd, along)
     calibration = np.zeros(4) if start is None or along is not None else np.where(freedom, start.calibration, 0.0)
-    known = {} if start is None else {id(form): sizes for form, sizes, _ in start.each()}
-    theta = [known.get(id(form), np.zeros(len(form.parameters))).copy() for form in forms]
+    theta = [np.zeros(len(form.parameters)) for form in forms] if start is None else start.sizes_of(forms)
     if start is None:
         path = nominal
     elif np.array_equal(calibration, start.calibration) and {id(f) for f in start.forms} <= {id(f) for f in forms}:

@@ -131,14 +131,15 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
     sizes, covariance = weighting.solve(columns, prior_precision(columns.shape[1]))
     if not system.path.s.usable[:, 4:].any():
         sizes[3] = 0.0
-    present, before = _current_values(system, model) / units, weighting.square(system.left)
+    held = system.fitted.sizes_of([system.forms[k] for k in model])
+    present, before = np.concatenate([system.fitted.calibration, *held]) / units, weighting.square(system.left)
     stays = [id(system.forms[k]) for k in model] == [id(form) for form in system.fitted.forms]
     if not (present[:4].any() or weighting.scale):
         stiff = np.where(np.arange(len(sizes)) < 4, 1e12, 1.0)
-        held, _ = weighting.solve(columns, prior_precision(columns.shape[1]) * stiff)
-        gained = weighting.square(system.gap - columns @ held) - weighting.square(system.gap - columns @ sizes)
+        alone, _ = weighting.solve(columns, prior_precision(columns.shape[1]) * stiff)
+        gained = weighting.square(system.gap - columns @ alone) - weighting.square(system.gap - columns @ sizes)
         if not fitting.is_gain(gained, system.fitted):
-            sizes = held * (np.arange(len(sizes)) >= 4)
+            sizes = alone * (np.arange(len(sizes)) >= 4)
     if stays and np.array_equal(sizes, present):
         return system.fitted
     for halvings in range(_STEP_HALVINGS + 1):
@@ -148,13 +149,6 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
         if weighting.square(left) <= most:
             return fitted
     return system.fitted if stays else fitted
-
-
-def _current_values(system: LinearSystem, model: Sequence[int]) -> FloatArray:
-    held = {id(form): theta for form, theta, _ in system.fitted.each()}
-    forms = [system.forms[k] for k in model]
-    sizes = [held.get(id(form), np.zeros(len(form.parameters))) for form in forms]
-    return np.concatenate([system.fitted.calibration, *sizes])
 
 
 def _simulated_at(

@@ -55,7 +55,8 @@ class Dimensions:
         usual = Route.from_segments(kind, *segments)
         bends = usual.turn_rad != 0.0
         radii_m = np.abs(usual.length_m[bends] / usual.turn_rad[bends])
-        led = min(1.0, self.reach_m / _led_m(usual))
+        poses = usual.divided(ROUTE_SPACING_M).poses()
+        led = min(1.0, self.reach_m / float(np.hypot(poses.x_m, poses.y_m).max()))
         scale = max(self.scale, led, self.least_radius_m / float(radii_m.min(initial=np.inf)))
         return Route(kind, scale * usual.length_m, usual.turn_rad)
 
@@ -83,11 +84,6 @@ def dimensions_of(driven: Campaign) -> Dimensions:
     return Dimensions(
         length_m, scale, most_m, least_m, (float(f"{min(slow, SLOWER * fast):.2g}"), float(f"{fast:.2g}"))
     )
-
-
-def _led_m(route: Route) -> float:
-    poses = route.divided(ROUTE_SPACING_M).poses()
-    return float(np.hypot(poses.x_m, poses.y_m).max())
 
 
 def route_of(kind: str, dimensions: Dimensions | None = None) -> Route:
