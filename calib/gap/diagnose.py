@@ -145,10 +145,10 @@ def _judged(
         noise=noise,
         effects={effect.id: effect for effect in effects},
         search=searched,
-        recalibration=judge_recalibration(fitted, nominal, noise, settings, shifts, searched),
+        recalibration=judge_recalibration(searched, settings, shifts),
         held_out=held_out,
-        trials=trials(left_out, residuals(nominal, nominal), noise.dof),
-        where=locate(nominal, noise, held_out.before, held_out.floor, rng=rng, campaign=campaign, left=fitted.left),
+        trials=trials(left_out, residuals(nominal, nominal)),
+        where=locate(nominal, noise, held_out.before, held_out.floor, fitted.left, campaign, rng),
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
     )
     recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
@@ -160,7 +160,7 @@ def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: Sear
     for form, theta, _ in best.each():
         if form.effect in assumed and np.linalg.norm(theta / [each.largest for each in form.parameters]) > 1.0:
             return False
-    tried = trials(HeldOutFit(best, nominal, noise, searched.weighting), gap, noise.dof)
+    tried = trials(HeldOutFit(best, nominal, noise, searched.weighting), gap)
     routes = [trial for trial in tried if trial.left_out == "kind"]
     gained = sum(trial.before_square - trial.after_square for trial in routes)
     return gained > 0.0 and not any(map(fails, routes))

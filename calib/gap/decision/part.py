@@ -174,7 +174,7 @@ def _tried(
     stated = (before if as_counted is None else as_counted) - steps
     sessions = not any(evidence.effects[name].per_session for name in (*names, *stepping))
     improvement = improvement_of(left_out, sessions=sessions, stated=stated)
-    tried = trials(left_out, before - steps, evidence.noise.dof)
+    tried = trials(left_out, before - steps)
     worse = _worse_sessions(evidence, left_out, before, fitted.left + steps)[:1] if stepping else ()
     return fitted, improvement, tried, tuple(worse)
 

@@ -59,7 +59,7 @@ class Trial:
     growth_sd: float = field(default=0.0, metadata={"json": False})
 
 
-def trials(left_out: HeldOutFit, before: FloatArray, dof: float, rerun: FloatArray | None = None) -> tuple[Trial, ...]:
+def trials(left_out: HeldOutFit, before: FloatArray, rerun: FloatArray | None = None) -> tuple[Trial, ...]:
     """Hold out each value of what varies, and try the others' correction there.
 
     `before`: (n_units, n_channels), of the model alone; `rerun`: of a simulator run again with its fix, in place of
@@ -76,7 +76,7 @@ def trials(left_out: HeldOutFit, before: FloatArray, dof: float, rerun: FloatArr
         square, corrected = squares_before[units].sum(), left_out.squares(after)[units].sum()
         expected = float(observations.usable[units].sum())
         # squares over an estimated noise level follow F; Bonferroni
-        limit = expected * float(fdtri(expected, max(dof, 3.0), 1.0 - FALSE_ALARM / len(tried)))
+        limit = expected * float(fdtri(expected, max(left_out.noise.dof, 3.0), 1.0 - FALSE_ALARM / len(tried)))
         added, added_variance = left_out.prediction_variance(units) if rerun is None else (0.0, 0.0)
         scatter = np.sqrt((2.0 * left_out.spread(after - before, units)) ** 2 + 2.0 * added_variance)
         results.append(

@@ -9,14 +9,12 @@ import numpy as np
 
 from calib.gap.effects.effect import Form
 from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS, TYPICAL
-from calib.gap.inference.fit import CALIBRATION_SD, Fitted, by_form
+from calib.gap.inference.fit import CALIBRATION_SD, by_form
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
 from calib.gap.inference.marginal_likelihood import effect_scale, log_evidence_parts, log_marginal
-from calib.gap.inference.noise import Noise
 from calib.gap.inference.scalar_products import SCALE_CHOICE_COST
-from calib.gap.predict import Path
 from calib.types import FloatArray
 
 #: prior odds of each being off by itself
@@ -217,36 +215,29 @@ class Recalibration:
 
 
 def judge_recalibration(
-    fitted: Fitted,
-    nominal: Path,
-    noise: Noise,
-    settings: SearchSettings,
-    shifts: Mapping[str, tuple[str, ...]] | None = None,
-    search: SearchResult | None = None,
+    search: SearchResult, settings: SearchSettings, shifts: Mapping[str, tuple[str, ...]]
 ) -> Recalibration:
     """Weigh the subsets of the calibration's parameters, beside each likely set of effects that `search` has.
 
-    `fitted`: of the effects found, recalibration free; for `settings` and `shifts` see `weigh_subsets`.
+    For `settings` and `shifts` see `weigh_subsets`.
     """
-    if nominal.s.calibration_held:
+    fitted, gains = search.fitted, search.gains
+    if fitted.path.s.calibration_held:
         held = np.zeros(len(NAMES))
         subsets = tuple(tuple(NAMES[k] for k in subset) for subset in SUBSETS)
         return Recalibration(subsets, np.eye(len(SUBSETS))[0], held, held, held)
-    system = LinearSystem(fitted, nominal, noise, fitted.forms)
+    system = LinearSystem(fitted, search.system.nominal, search.system.noise, fitted.forms)
     own = [theta / form.typical for form, theta, _ in fitted.each()]
     values = OF_WHEELS @ fitted.calibration[:3]
     sd = np.sqrt(np.diag(OF_WHEELS @ fitted.covariance[:3, :3] @ OF_WHEELS.T))
-    shifts = shifts or {}
     units = np.concatenate([np.ones(4), *(form.typical for form in fitted.forms)])
     covariance = fitted.covariance / np.outer(units, units)
-    gains = 0.0 if search is None else search.gains
     of_own = weigh_subsets(system, range(len(own)), own, values, covariance, settings, shifts, gains)
     weighed = [(1.0, of_own.probabilities)]
-    if search is not None:
-        for model, weight in search.alternatives:
-            free = free_estimates(search.system, model, search.weighting)
-            weighed.append((weight, weigh_subsets(search.system, model, *free, settings, shifts, gains).probabilities))
-    instead = {name: _instead(k, fitted, search, weighed) for k, name in enumerate(NAMES)}
+    for model, weight in search.alternatives:
+        free = free_estimates(search.system, model, search.weighting)
+        weighed.append((weight, weigh_subsets(search.system, model, *free, settings, shifts, gains).probabilities))
+    instead = {name: _instead(k, search, weighed) for k, name in enumerate(NAMES)}
     total = sum(weight for weight, _ in weighed)
     probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total
     order = np.argsort(-probability, kind="stable")
@@ -273,13 +264,9 @@ def judge_recalibration(
     )
 
 
-def _instead(
-    parameter: int, fitted: Fitted, search: SearchResult | None, weighed: Sequence[tuple[float, FloatArray]]
-) -> tuple[str, ...]:
-    if search is None:
-        return ()
+def _instead(parameter: int, search: SearchResult, weighed: Sequence[tuple[float, FloatArray]]) -> tuple[str, ...]:
     holds = np.array([parameter in subset for subset in SUBSETS])
-    own, effects = {form.effect for form in fitted.forms}, dict[str, None]()
+    own, effects = {*search.effects}, dict[str, None]()
     for (model, weight), (_, probability) in zip(search.alternatives, weighed[1:], strict=True):
         extra = {search.system.forms[k].effect for k in model} - own
         if weight > ALTERNATIVE_ODDS and len(extra) == 1 and probability[holds].sum() < NEEDLESS_PROBABILITY:

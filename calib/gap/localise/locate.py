@@ -111,11 +111,10 @@ def locate(
     nominal: Path,
     noise: Noise,
     gap: FloatArray,
-    floor: FloatArray | None = None,
-    *,
+    floor: FloatArray,
+    left: FloatArray,
+    campaign: Campaign,
     rng: np.random.Generator,
-    campaign: Campaign | None = None,
-    left: FloatArray | None = None,
 ) -> GapLocation:
     """Say where the gap lies, and what its causes leave.
 
@@ -123,17 +122,12 @@ def locate(
     twenty of any false finding. Shares have bootstrap intervals over units.
 
     `gap`, `left` (n_units, n_channels): measured minus simulated, 0 where a unit lacks the channel; the same with its
-    causes fitted; `floor`: what the gap is shown against, by default that of `noise`; `campaign`: the same runs with
-    their logs, without which there are no places inside runs.
+    causes fitted; `floor`: what the gap is shown against; `campaign`: the same runs with their logs.
     """
     observations, lines = nominal.s, _tested(nominal, noise, gap, rng)
-    places: tuple[PlaceResult, ...] = ()
-    notes: tuple[str, ...] = ("no logs were given: nothing can be said of places inside the runs",)
-    if campaign is not None:
-        places, notes = _find_places(campaign, observations, rng)
-    shown = noise.floor if floor is None else floor
-    channels, runs = _by_channel(observations, shown, gap), by_run(observations, shown, gap)
-    rest = None if left is None else GapLocation(covariates=_tested(nominal, noise, left, rng))
+    places, notes = _find_places(campaign, observations, rng)
+    channels, runs = _by_channel(observations, floor, gap), by_run(observations, floor, gap)
+    rest = GapLocation(covariates=_tested(nominal, noise, left, rng))
     return GapLocation(channels=channels, covariates=lines, runs=runs, places=places, notes=notes, rest=rest)
 
 

@@ -80,7 +80,7 @@ def fixed(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, r
     own = closure_of(nominal, diagnosis.noise, theirs, theirs - (before - after), rng).closure
     closes, fits = (each.ci95 is not None and each.ci95[0] > ADEQUATE_CLOSURE for each in (closure, own))
     kind = diagnosis.kind if closes and not closure.leaves_part else VerdictKind.PARTLY_EXPLAINED
-    ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, diagnosis.noise.dof, after)
+    ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, after)
     worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran))
     recommended = diagnosis.fix.recommended and fits and found.settled and not worse
     why = (*diagnosis.fix.why, *worse)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -52,7 +53,10 @@ def judged(
     nominal = predict(s)
     noise = noise_at(nominal, {})
     forms = [] if effect is None else effect.forms(s)
-    return judge_recalibration(fit(nominal, noise, forms, steps=8), nominal, noise, SearchSettings(), shifts)
+    fitted = fit(nominal, noise, forms, steps=8)
+    system, effects = LinearSystem(fitted, nominal, noise, forms), tuple(form.effect for form in forms)
+    search = SimpleNamespace(fitted=fitted, system=system, effects=effects, alternatives=(), gains=0.0)
+    return judge_recalibration(search, SearchSettings(), shifts or {})  # type: ignore[arg-type]
 
 
 def radius_scale(run: Run, now: Motion) -> None:

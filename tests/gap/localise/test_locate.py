@@ -12,7 +12,14 @@ from calib.gap.inference.fit import fit
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.localise.along_run import Trace
 from calib.gap.localise.covariates import CovariateResult
-from calib.gap.localise.locate import FALSE_FINDING_PROBABILITY, _slope, compare_windows, holm_corrected, locate
+from calib.gap.localise.locate import (
+    FALSE_FINDING_PROBABILITY,
+    GapLocation,
+    _slope,
+    compare_windows,
+    holm_corrected,
+    locate,
+)
 from calib.gap.observations.arrays import Channel
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
@@ -30,8 +37,16 @@ def seen(campaign: Campaign) -> tuple[Path, Noise, FloatArray]:
     return nominal, estimate_noise(base.path, base.left), gap
 
 
+def located(
+    campaign: Campaign, nominal: Path, noise: Noise, gap: FloatArray, left: FloatArray | None = None, seed: int = 0
+) -> GapLocation:
+    """Where a gap lies, shown against the noise level; nothing of it explained by default."""
+    rng = np.random.default_rng(seed)
+    return locate(nominal, noise, gap, noise.floor, gap if left is None else left, campaign, rng)
+
+
 def table(campaign: Campaign) -> dict[str, CovariateResult]:
-    made = locate(*seen(campaign), rng=np.random.default_rng(0), campaign=campaign)
+    made = located(campaign, *seen(campaign))
     return {line.name: line for line in made.covariates}
 
 
@@ -86,7 +101,7 @@ def test_a_share_is_that_of_the_variance_beyond_the_floor() -> None:
     gap[:, 3] = noise.floor[:, 3] * (8.0 * x + 6.0 * y)
     given = {**s.numbers, "payload_kg": x}
     object.__setattr__(s, "numbers", given)
-    shares = {line.name: line for line in locate(nominal, noise, gap, rng=rng).covariates}
+    shares = {line.name: line for line in located(campaign, nominal, noise, gap).covariates}
     # 64 of 100; the noise level's own unit variance, absent here, and the degree of freedom move it by 1 to 2 %
     assert shares["payload_kg"].share == pytest.approx(0.64, abs=0.03)
     assert shares["payload_kg"].channel is Channel.HEADING
@@ -98,7 +113,7 @@ def test_the_worst_run_stands_first() -> None:
     s = nominal.s
     gap = gap.copy()
     gap[7, 3] = 50 * noise.floor[7, 3]
-    worst = locate(nominal, noise, gap, rng=np.random.default_rng(0)).runs[0]
+    worst = located(campaign, nominal, noise, gap).runs[0]
     assert worst.run_id == str(s.labels["run_id"][7])
     assert worst.channel is Channel.HEADING
     # 50 noise levels were put in
@@ -110,7 +125,7 @@ def test_channels_say_root_mean_square_and_floor_of_what_was_measured_only() -> 
     campaign = make_campaign(poor_design("squares_one_load", rng), {}, rng)
     nominal, noise, gap = seen(campaign)
     s = nominal.s
-    where = locate(nominal, noise, gap, rng=rng)
+    where = located(campaign, nominal, noise, gap)
     assert where.channel(Channel.DISTANCE) is None
     on = s.usable[:, 3]
     heading = where.channel(Channel.HEADING)
@@ -136,7 +151,7 @@ def test_a_zone_of_the_floor_is_found_where_it_was_put(seed: int) -> None:
         # the wheels slip by 10 mm there: the reference falls behind them
         x[part] -= 0.010 * (inside if design.direction[run] != "back" else 1.0 - inside) * np.cos(theta[part])
     object.__setattr__(campaign, "logs", type(logs)(logs.offsets, {**logs.columns, "ref_x_m": x}))
-    places = locate(nominal, noise, gap, rng=rng, campaign=campaign).places
+    places = located(campaign, nominal, noise, gap, seed=seed).places
     found = next(place for place in places if place.where == "zone" and place.route == "corridor")
     assert found.channel is Channel.ALONG
     assert found.place is not None and found.place_ci95 is not None
@@ -150,7 +165,7 @@ def test_a_zone_of_the_floor_is_found_where_it_was_put(seed: int) -> None:
 
 def test_a_wrong_track_opens_in_the_turns() -> None:
     campaign = made("track_width", 3.0, needs=frozenset({"trace"}))
-    places = locate(*seen(campaign), rng=np.random.default_rng(0), campaign=campaign).places
+    places = located(campaign, *seen(campaign)).places
     assert places[0].where == "turns"
     assert places[0].channel is Channel.HEADING
     # heading gained per radian of turn is minus the relative error of the track: three times the typical 1 %
@@ -160,7 +175,7 @@ def test_a_wrong_track_opens_in_the_turns() -> None:
 
 def test_without_a_continuous_reference_no_place_is_named_and_that_is_said() -> None:
     campaign = made("track_width", 1.0)
-    made_of = locate(*seen(campaign), rng=np.random.default_rng(0), campaign=campaign)
+    made_of = located(campaign, *seen(campaign))
     assert made_of.places == ()
     assert "continuous reference" in made_of.notes[0]
 
@@ -254,8 +269,9 @@ def test_runs_without_a_heading_are_not_asked_for_it() -> None:
 
 def test_what_is_left_is_tested_as_the_gap_is() -> None:
     """A gap that grows with the load alone correlates with it; what is left without it, with nothing."""
-    nominal, noise, gap = seen(made("load_radius", 20.0))
-    where = [locate(nominal, noise, gap, rng=np.random.default_rng(0), left=left).rest for left in (gap, 0.0 * gap)]
+    campaign = made("load_radius", 20.0)
+    nominal, noise, gap = seen(campaign)
+    where = [located(campaign, nominal, noise, gap, left).rest for left in (gap, 0.0 * gap)]
     assert where[0] is not None
     assert where[1] is not None
     assert any("load" in line.name or "payload" in line.name for line in where[0].significant)
