@@ -307,7 +307,7 @@ def _check_copied(campaign: Campaign, nominal: Path) -> None:
     travels_m = (observations.travel_left_m, observations.travel_right_m)
     ways_m = np.stack([np.bincount(observations.unit, one, len(observations))[measured] for one in travels_m], axis=1)
     off_rad = float(np.abs(turned_rad - ways_m @ np.linalg.lstsq(ways_m, turned_rad)[0]).max())
-    stated_rad = float(np.min(observations.sigma_theta_rad[measured]))
+    stated_rad = float(np.min(observations.sigma[measured, Channel.HEADING]))
     if off_rad < COPIED_SHARE * stated_rad:
         raise BadInputError(
             f"{campaign.name}: column ref_theta_rad: found headings that agree with the counts within {off_rad:.1g} "

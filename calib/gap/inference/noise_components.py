@@ -40,9 +40,8 @@ def kernels(path: Path) -> FloatArray:
     observations = path.s
     n = len(observations)
     shapes = np.zeros((len(COMPONENTS), n, N_CHANNELS, N_CHANNELS))
-    shapes[0, :, 0, 0] = observations.sigma_distance_m**2
-    shapes[1, :, 1, 1] = shapes[1, :, 2, 2] = observations.sigma_xy_m**2
-    shapes[2, :, 3, 3] = observations.sigma_theta_rad**2
+    for number, channel in ((0, 0), (1, 1), (1, 2), (2, 3)):
+        shapes[number, :, channel, channel] = observations.sigma[:, channel] ** 2
     for units, part in path.parts():
         length = np.abs(part.steps.ds_m)
         for number, vector in zip((3, 4), _step_vectors(part), strict=True):

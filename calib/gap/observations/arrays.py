@@ -118,10 +118,7 @@ class Observations:
     kind: IntArray  #: shape (n_obs,): units of the same route and direction
     #: shape (n_obs,): 1 where the laser's distance is the projection on the start heading, 0 where the line's length
     axis: FloatArray
-    #: sigma_distance_m, sigma_xy_m, sigma_theta_rad: shape (n_obs,): stated standard uncertainty
-    sigma_distance_m: FloatArray
-    sigma_xy_m: FloatArray
-    sigma_theta_rad: FloatArray
+    sigma: FloatArray  #: shape (n_obs, 4): stated standard uncertainty of distance, x, y and heading
     #: shape (n_obs,): of the start frame's heading, where that was read too; else 0
     sigma_start_rad: FloatArray
     count_rad: tuple[float, float]  #: rotation of the left and right wheel between two counts
@@ -249,11 +246,6 @@ class Observations:
     def number(self, name: str) -> FloatArray:
         """Return a covariate, shape (n_obs,); NaN where the campaign has none."""
         return self.numbers[name] if name in self.numbers else np.full(len(self), np.nan)
-
-    @property
-    def sigma(self) -> FloatArray:
-        """Stated standard uncertainties of distance, x, y and heading, shape (n_obs, 4)."""
-        return np.stack([self.sigma_distance_m, self.sigma_xy_m, self.sigma_xy_m, self.sigma_theta_rad], axis=1)
 
     @property
     def wheel_loads_N(self) -> FloatArray:

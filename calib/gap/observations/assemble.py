@@ -90,9 +90,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         cell=cell,
         kind=route,
         axis=_laser_axis(measured, usable),
-        sigma_distance_m=np.full(len(units), campaign.rangefinder.sigma_m),
-        sigma_xy_m=_stated(units, "sigma_xy_m", campaign),
-        sigma_theta_rad=np.where(guided, sigma_led, _stated(units, "sigma_theta_rad", campaign)),
+        sigma=np.where(np.outer(guided, [0, 0, 0, 1]), sigma_led[:, None], _stated(units, campaign)),
         count_rad=(1 / setup.per_rad[0], 1 / setup.per_rad[1]),
         windowed=any(u.window > 0 for u in units),
         common_frame=setup.in_map or bool(not campaign.reference.frame and {"out", "back"} & {*labels["direction"]}),
@@ -121,9 +119,11 @@ def _ends(samples: FloatArray) -> FloatArray:
     return samples[1:]
 
 
-def _stated(units: Sequence[Observation], name: str, campaign: Campaign) -> FloatArray:
-    values = np.array([getattr(u, name) for u in units], dtype=np.float64)
-    return np.where(np.isnan(values), getattr(campaign.reference, name), values)
+def _stated(units: Sequence[Observation], campaign: Campaign) -> FloatArray:
+    reference, laser_m = campaign.reference, campaign.rangefinder.sigma_m
+    values = np.array([(laser_m, u.sigma_xy_m, u.sigma_xy_m, u.sigma_theta_rad) for u in units], dtype=np.float64)
+    settings = [laser_m, reference.sigma_xy_m, reference.sigma_xy_m, reference.sigma_theta_rad]
+    return np.where(np.isnan(values), settings, values)
 
 
 def _unwrapped(heading: FloatArray, turn: FloatArray, remarks: list[str]) -> FloatArray:

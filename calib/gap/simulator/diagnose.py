@@ -144,16 +144,15 @@ def _simulated_observations(measured: Observations, differences: Differences) ->
     usable = measured.usable & np.isfinite(simulated)
     axis = differences.axis
     noise = differences.scatter[differences.rows(measured)] / np.sqrt(differences.repeats)
-    variance = noise.T**2
+    variance = noise**2
+    variance[:, 1:3] = variance[:, 1:3].mean(axis=1, keepdims=True)
     observations = replace(
         measured,
         simulated=np.where(usable, simulated, np.nan),
         usable=usable,
         calibration_held=True,
         axis=measured.axis if axis is None else np.where(measured.axis > 0, axis, measured.axis),
-        sigma_distance_m=np.sqrt(measured.sigma_distance_m**2 + variance[0]),
-        sigma_xy_m=np.sqrt(measured.sigma_xy_m**2 + 0.5 * (variance[1] + variance[2])),
-        sigma_theta_rad=np.sqrt(measured.sigma_theta_rad**2 + variance[3]),
+        sigma=np.sqrt(measured.sigma**2 + variance),
     )
     return simulator.as_simulated(observations, noise)
 

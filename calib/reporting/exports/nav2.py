@@ -144,8 +144,8 @@ def spread_of(path: PredictedPath, units: BoolArray, model: str) -> Spread:
     names, component = MODELS[model]
     found = [component(poses) for poses, on in zip(path.traces(), units, strict=True) if on]
     reference = np.zeros((len(found), 3, 3))
-    reference[:, 0, 0] = reference[:, 1, 1] = s.sigma_xy_m[units] ** 2
-    reference[:, 2, 2] = s.sigma_theta_rad[units] ** 2
+    reference[:, 0, 0] = reference[:, 1, 1] = s.sigma[units, 1] ** 2
+    reference[:, 2, 2] = s.sigma[units, 3] ** 2
     return Spread(names, np.stack(found, axis=1), reference)
 
 

@@ -32,7 +32,7 @@ def test_a_stated_weave_gives_the_uncertainty() -> None:
     """Amplitude A and wavelength l: the heading goes up to 2 pi A / l."""
     made = corridor(amplitude_m=np.full(12, 0.03), wavelength_m=np.full(12, 8.0))
     observations = observations_of(campaign_of(**made))
-    np.testing.assert_allclose(observations.sigma_theta_rad, 2 * np.pi * 0.03 / 8.0, rtol=1e-12)
+    np.testing.assert_allclose(observations.sigma[:, 3], 2 * np.pi * 0.03 / 8.0, rtol=1e-12)
 
 
 def test_without_a_log_or_a_stated_weave_the_uncertainty_is_assumed_and_said() -> None:
@@ -41,7 +41,7 @@ def test_without_a_log_or_a_stated_weave_the_uncertainty_is_assumed_and_said() -
     empty = [{name: column[:1] for name, column in log.items()} for log in made["logs"]]
     observations = observations_of(campaign_of(empty, numbers=made["numbers"] | counts))
     middle_m = 40.0 * (1 + 0.5e-4)
-    np.testing.assert_allclose(observations.sigma_theta_rad, 2 * np.pi * ASSUMED_LATERAL_M / middle_m, rtol=1e-5)
+    np.testing.assert_allclose(observations.sigma[:, 3], 2 * np.pi * ASSUMED_LATERAL_M / middle_m, rtol=1e-5)
     assert any("assumed" in note for note in observations.notes)
 
 

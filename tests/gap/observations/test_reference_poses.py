@@ -130,7 +130,7 @@ def test_the_stated_heading_of_a_course_is_that_of_monte_carlo() -> None:
         logs.append(truth.counts() | poses)
     observations = observations_of(campaign_of(logs, Reference(frame="map")))
     off = observations.measured[:, 3] - np.array([t.end()[2] for t in truths])
-    stated = np.hypot(observations.sigma_theta_rad, observations.sigma_start_rad)
+    stated = np.hypot(observations.sigma[:, 3], observations.sigma_start_rad)
     # 60 draws: the standard deviation scatters by 1 / sqrt(120) = 9 %; four of these
     assert np.sqrt(np.mean((off / stated) ** 2)) == pytest.approx(1.0, abs=0.37)
 
