@@ -30,7 +30,7 @@ from calib.gap.effects.steering import steering_blunder
 from calib.gap.inference.fit import Fitted, recalibrate, squares_by_unit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
-from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
+from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult
 from calib.gap.inference.marginal_likelihood import FLOOR_DOF
 from calib.gap.inference.model_search import search
 from calib.gap.inference.noise import Noise, estimate_noise
@@ -114,17 +114,17 @@ def _judged(
     situation: Situation,
 ) -> Diagnosis:
     seed, model_name, candidates, journeys = asked
-    settings, rng, declared = SearchSettings(), np.random.default_rng(seed), given.extra.get("effects", ())
+    rng, declared = np.random.default_rng(seed), given.extra.get("effects", ())
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not sought.applied else None
     nominal = predict(observations)
     effects = library(observations, exclude=sought.exclude, declared=declared) if candidates is None else [*candidates]
-    effects, noise, base, searched = _searched(nominal, effects, settings, progress)
+    effects, noise, base, searched = _searched(nominal, effects, progress)
     if refined := _refined(situation, searched.fitted):
         again = sought.corrected(given, refined, situation.as_counted)
         situation = replace(again, omitted=situation.omitted)
         campaign, observations, nominal = situation.campaign, situation.observations, predict(situation.observations)
-        effects, noise, base, searched = _searched(nominal, effects, settings, progress)
+        effects, noise, base, searched = _searched(nominal, effects, progress)
     progress(0, 0, "verdict")
     fitted = searched.fitted
     left_out = HeldOutFit(fitted, nominal, noise, searched.weighting)
@@ -145,7 +145,7 @@ def _judged(
         noise=noise,
         effects={effect.id: effect for effect in effects},
         search=searched,
-        recalibration=judge_recalibration(searched, settings, shifts),
+        recalibration=judge_recalibration(searched, shifts),
         held_out=held_out,
         trials=trials(left_out, residuals(nominal, nominal)),
         where=locate(nominal, noise, held_out.before, held_out.floor, fitted.left, campaign, rng),
@@ -317,7 +317,7 @@ def _check_copied(campaign: Campaign, nominal: Path) -> None:
 
 
 def _searched(
-    nominal: Path, effects: Sequence[Effect], settings: SearchSettings, progress: Progress
+    nominal: Path, effects: Sequence[Effect], progress: Progress
 ) -> tuple[list[Effect], Noise, Fitted, SearchResult]:
     """Return effects, noise, recalibration alone and model search; the noise is that beside the best hypothesis.
 
@@ -334,7 +334,7 @@ def _searched(
     if base.calibration.any():
         noise = estimate_noise(base.path, base.left)
         base = recalibrate(nominal, noise, base)
-    searched = search(nominal, noise, base, effects, settings, passed=passed)
+    searched = search(nominal, noise, base, effects, passed=passed)
     for _ in range(NOISE_PASSES):
         best = searched.fitted
         # what a large effect leaves within conditions is no noise: estimate it without the effect, and search again
@@ -349,8 +349,8 @@ def _searched(
         ):
             break
         noise, base = again, recalibrate(nominal, again, base)
-        searched = search(nominal, noise, base, effects, settings, start=searched, passed=passed)
+        searched = search(nominal, noise, base, effects, start=searched, passed=passed)
     assumed = {each.id for each in effects if each.id in searched.effects and each.assumption(nominal.s)}
     if assumed and not _holds(assumed, nominal, noise, searched):
-        return _searched(nominal, [each for each in effects if each.id not in assumed], settings, progress)
+        return _searched(nominal, [each for each in effects if each.id not in assumed], progress)
     return [*effects], noise, base, searched

@@ -103,24 +103,19 @@ class LinearSystem:
         return [next(k for k, own in enumerate(self.forms) if own is form) for form in forms]
 
     def sums(
-        self,
-        deviations: FloatArray,
-        *,
-        prior_rest: float,
-        scales: Sequence[float] = LACK_OF_FIT_SCALES,
-        interactions: bool = True,
+        self, deviations: FloatArray, *, scales: Sequence[float] = LACK_OF_FIT_SCALES, interactions: bool = True
     ) -> Sums:
         """Return scalar products of forms and gap under each scale of the lack of fit, the recalibration free.
 
-        `deviations`: (n_rows, k), of effects in each condition, to unit prior variance; `prior_rest`: prior odds of a
-        lack of fit; `interactions`: also those of the surroundings.
+        `deviations`: (n_rows, k), of effects in each condition, to unit prior variance; `interactions`: also those of
+        the surroundings.
         """
         kinds = [(k, kind) for k, kind in enumerate(self.kinds) if interactions or not kind.is_interaction]
         reduced = Reduced(self.whole, self._gram, deviations, self.blocks)
         sizes = N_CALIBRATION, self._n_narrow - N_CALIBRATION, self.layout.n_wide
-        return scalar_products(reduced, kinds, self._common, sizes, scales, prior_rest)
+        return scalar_products(reduced, kinds, self._common, sizes, scales)
 
-    def sums_of(self, columns: FloatArray, nuisance: FloatArray, deviations: FloatArray, *, prior_rest: float) -> Sums:
+    def sums_of(self, columns: FloatArray, nuisance: FloatArray, deviations: FloatArray) -> Sums:
         """Return those of other columns (n_rows, p) beside nuisances (n_rows, m) to unit prior variance."""
         m, p = nuisance.shape[1], columns.shape[1]
         first = self._n_narrow + 1 + self.layout.n_wide
@@ -129,7 +124,7 @@ class LinearSystem:
         gram = np.block([[own], [own[:, m + p + 1 :].T, self._gram[first:, first:]]])
         reduced = Reduced(whole, above_rounding(gram), deviations, self.blocks)
         kinds, common = list(enumerate(self.kinds)), _common_places(self.kinds, m + p + 1)
-        return scalar_products(reduced, kinds, common, (m, p, 0), LACK_OF_FIT_SCALES, prior_rest)
+        return scalar_products(reduced, kinds, common, (m, p, 0), LACK_OF_FIT_SCALES)
 
 
 def _common_places(kinds: Sequence[LackOfFit], first: int) -> dict[int, slice]:

@@ -35,43 +35,35 @@ _MAX_ALTERNATIVES: Final = 4
 _MIN_ALTERNATIVE_ODDS: Final = 0.05
 #: shares of what effects may deviate by; the most probable counts
 _DEVIATION_SHARES: Final = (1.0, 0.1, 0.0)
+#: share by which an effect may deviate from its form in a condition, by development cases
+TOLERANCE: Final = 0.15
+#: effects named at most
+MOST_EFFECTS: Final = 6
+#: effects of which all pairs are tried: one may hide the other
+PAIRED: Final = 60
 Model = tuple[int, ...]
 EVEN_PROBABILITY: Final = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class SearchSettings:
-    """Assumptions of the search, by development cases."""
-
-    further: float = 0.5  #: prior odds of one more effect at work
-    #: prior odds of a lack of fit: at three times these it made two thirds of the false alarms, at these a third
-    prior_rest: float = 0.05
-    tolerance: float = 0.15  #: share by which an effect may deviate from its form in a condition
-    most_effects: int = 6  #: effects named at most
-    #: effects of which all pairs are tried: one may hide the other
-    paired: int = 60
 
 
 class LocalSearch:
     """One linearisation: forms kept, the current hypothesis, and sums under its deviations."""
 
-    def __init__(self, whole: LinearSystem, settings: SearchSettings) -> None:
-        self.settings, self.largest_scale = settings, np.inf
-        fitted = whole.fitted
+    def __init__(self, whole: LinearSystem) -> None:
+        fitted, self.largest_scale = whole.fitted, np.inf
         held = whole.numbers(fitted.forms)
         sizes = [theta / form.typical for form, theta, _ in fitted.each()]
         kept = self._forms_to_offer(whole, held, sizes)
         self.system = whole.only(kept)
-        self.columns = FormPriors.from_forms(self.system.forms, settings.further)
+        self.columns = FormPriors.from_forms(self.system.forms)
         self.current: Model = tuple(range(len(held)))
         self.sizes = dict(enumerate(sizes))
-        self.sums = self._sums_beside()
+        self.sums = self.system.sums(self.deviations)
         self.offered = list(range(len(kept)))
 
     def _forms_to_offer(self, whole: LinearSystem, held: list[int], sizes: list[FloatArray]) -> list[int]:
-        columns = FormPriors.from_forms(whole.forms, self.settings.further)
+        columns = FormPriors.from_forms(whole.forms)
         deviations = self._deviations(whole, dict(zip(held, sizes, strict=True)))
-        sums = whole.sums(deviations, prior_rest=self.settings.prior_rest, scales=_RANKING_SCALES, interactions=False)
+        sums = whole.sums(deviations, scales=_RANKING_SCALES, interactions=False)
         models = [
             (*(k for k in held if whole.forms[k].effect != form.effect), number)
             for number, form in enumerate(whole.forms)
@@ -92,18 +84,13 @@ class LocalSearch:
         for k, size in own.items():
             name = system.forms[k].effect
             # straight and curved part may be large and opposite
-            deviations["law" if effect_class(name).is_load_law else name] += self.settings.tolerance * (
-                system.of(k) @ size
-            )
+            deviations["law" if effect_class(name).is_load_law else name] += TOLERANCE * (system.of(k) @ size)
         return np.stack([*deviations.values()], axis=1) if deviations else np.zeros((len(system.gap), 0))
 
     @property
     def deviations(self) -> FloatArray:
         """Of each condition from the current forms, shape (n_rows, n)."""
         return self._deviations(self.system, {k: self.sizes[k] for k in self.current})
-
-    def _sums_beside(self) -> Sums:
-        return self.system.sums(self.deviations, prior_rest=self.settings.prior_rest)
 
     def forms_of(self, model: Model) -> tuple[Form, ...]:
         """Return the forms of a model."""
@@ -142,11 +129,11 @@ class LocalSearch:
         """
         full_deviations = self.deviations
         own, model = self.system.only(self.current), tuple(range(len(self.current)))
-        priors = FormPriors.from_forms(own.forms, self.settings.further)
+        priors = FormPriors.from_forms(own.forms)
         weightings = []
         for share in _DEVIATION_SHARES if self.current else (1.0,):
             deviations = share * full_deviations
-            sums = own.sums(deviations, prior_rest=self.settings.prior_rest)
+            sums = own.sums(deviations)
             weight = log_weights(sums, priors, [model])[:, 0]
             best = int(np.argmax(weight))
             weightings.append((float(weight[best]), int(sums.kind[best]), float(sums.scale[best]), share))
@@ -162,7 +149,7 @@ class LocalSearch:
         name = {k: self.columns.forms[k].effect for k in (*self.offered, *model)}
         held = {name[k] for k in model}
         models = [model, *(tuple(j for j in model if j != k) for k in model)]
-        if len(model) < self.settings.most_effects:
+        if len(model) < MOST_EFFECTS:
             models += [(*model, k) for k in self.offered if name[k] not in held]
         for own in model:
             rest = tuple(j for j in model if j != own)
@@ -174,9 +161,9 @@ class LocalSearch:
         for k in self.offered:
             best.setdefault(self.columns.forms[k].effect, k)
         numbers = [k for k in best.values() if len(self.columns.forms[k].parameters) <= 4]
-        if len(numbers) > self.settings.paired:
+        if len(numbers) > PAIRED:
             alone = _total(self.weigh([(k,) for k in numbers]))
-            numbers = [numbers[place] for place in np.sort(np.argsort(-alone, kind="stable")[: self.settings.paired])]
+            numbers = [numbers[place] for place in np.sort(np.argsort(-alone, kind="stable")[:PAIRED])]
         return list(combinations(numbers, 2))
 
     def best_single_effects(self, count: int) -> Sequence[Model]:
@@ -253,7 +240,7 @@ class LocalSearch:
         fresh = zip(model, by_form(self.forms_of(model), np.concatenate([np.zeros(4), sizes])), strict=True)
         self.sizes = {**dict(fresh), **{k: self.sizes[k] for k in self.current}}
         self.current = model
-        self.sums = self._sums_beside()
+        self.sums = self.system.sums(self.deviations)
 
     def posterior(self) -> tuple[list[Model], FloatArray]:
         """Return the models about the best, and their log weights (n_scales, n_models)."""

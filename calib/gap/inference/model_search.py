@@ -12,7 +12,7 @@ from calib.gap.effects.effect import Effect, Form
 from calib.gap.inference.fit import Fitted, fit, linear_rest
 from calib.gap.inference.least_squares import prior_precision
 from calib.gap.inference.linear_model import LinearSystem
-from calib.gap.inference.local_search import LocalSearch, Model, SearchResult, SearchSettings
+from calib.gap.inference.local_search import MOST_EFFECTS, LocalSearch, Model, SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
 from calib.gap.inference.scale_evidence import NOISE_WINDOW, ScaleEvidence, held_gain, scale_gains
@@ -61,7 +61,6 @@ def search(
     noise: Noise,
     base: Fitted,
     effects: Sequence[Effect],
-    settings: SearchSettings | None = None,
     start: SearchResult | None = None,
     passed: Callable[[], None] | None = None,
 ) -> SearchResult:
@@ -69,7 +68,7 @@ def search(
 
     Parameters
     ----------
-    nominal, noise, settings
+    nominal, noise
     base
         The recalibration alone.
     effects
@@ -79,17 +78,16 @@ def search(
     passed
         Called before each pass.
     """
-    settings = settings or SearchSettings()
     shifts = {effect.id: effect.own_shifts for effect in effects}
     forms = _forms_on_offer(nominal, effects) if start is None else start.forms
     all_forms = [form for offered in forms.values() for form in offered]
     alone = LinearSystem(base, nominal, noise, all_forms)
-    initial = LocalSearch(alone, settings)
+    initial = LocalSearch(alone)
     converge = partial(_converge, all_forms=all_forms, passed=passed)
     begin = _begin_at(start, initial)
     local, fitted = converge(
         # unnamed, to be freed
-        copy(initial) if begin is base else LocalSearch(LinearSystem(begin, nominal, noise, all_forms), settings)
+        copy(initial) if begin is base else LocalSearch(LinearSystem(begin, nominal, noise, all_forms))
     )
     if begin is base and _near((local, fitted), base) is None:
         local, fitted = copy(initial), base
@@ -152,7 +150,7 @@ def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:
         fitted = fit(system.nominal, system.noise, forms, start=system.fitted, steps=_TRIAL_STEPS)
         if not is_far(fitted):
             return fitted
-    return continuation_start(system, initial.settings.most_effects)
+    return continuation_start(system)
 
 
 def is_far(fitted: Fitted) -> bool:
@@ -161,19 +159,19 @@ def is_far(fitted: Fitted) -> bool:
     return fitted.chi_square > n_rows * _FAR_RMS**2
 
 
-def continuation_start(system: LinearSystem, most_effects: int) -> Fitted:
+def continuation_start(system: LinearSystem) -> Fitted:
     """Return a hypothesis near which the gap is linear: the system's, effects added one by one as they fit.
 
     The system's own where it is not far off, or no effect takes half of it away.
 
-    `system`: about the path of the recalibration alone, with the forms on offer; `most_effects`: added at most.
+    `system`: about the path of the recalibration alone, with the forms on offer.
     """
     fitted, nominal, noise = system.fitted, system.nominal, system.noise
 
     def further(trial: Fitted, steps: int) -> Fitted:
         return fit(nominal, noise, trial.forms, start=trial, steps=steps)
 
-    while is_far(fitted) and len(fitted.forms) < most_effects:
+    while is_far(fitted) and len(fitted.forms) < MOST_EFFECTS:
         if system.fitted is not fitted:
             system = LinearSystem(fitted, nominal, noise, system.forms)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -258,7 +256,7 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
         likely, over_free = [], dict.fromkeys(range(len(models)), 0.0)
     for n in {*likely, models.index(local.current)} - over_free.keys():
         free = free_estimates(local.system, models[n], weighting)
-        subsets = weigh_subsets(local.system, models[n], *free, local.settings, shifts, gains)
+        subsets = weigh_subsets(local.system, models[n], *free, shifts, gains)
         over_free[n] = subsets.over_free
         if not models[n]:
             as_believed = float(subsets.probabilities[SUBSETS.index(())])
@@ -324,10 +322,10 @@ def _converge(
         if _step(before, fitted) < _CONVERGED_STEP:
             break
         if number < _MAX_PASSES - 1:
-            nominal, noise, settings = local.system.nominal, local.system.noise, local.settings
+            nominal, noise = local.system.nominal, local.system.noise
             # makes room
             del before, local
-            local = LocalSearch(LinearSystem(fitted, nominal, noise, all_forms), settings)
+            local = LocalSearch(LinearSystem(fitted, nominal, noise, all_forms))
     return local, fitted
 
 

@@ -12,9 +12,9 @@ from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS, TYPICAL
 from calib.gap.inference.fit import CALIBRATION_SD, by_form
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
-from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult, SearchSettings
+from calib.gap.inference.local_search import EVEN_PROBABILITY, TOLERANCE, SearchResult
 from calib.gap.inference.marginal_likelihood import effect_scale, log_evidence_parts, log_marginal
-from calib.gap.inference.scalar_products import SCALE_CHOICE_COST
+from calib.gap.inference.scalar_products import FURTHER, SCALE_CHOICE_COST
 from calib.types import FloatArray
 
 #: prior odds of each being off by itself
@@ -54,7 +54,7 @@ class SubsetWeights:
         return float(np.logaddexp.reduce(self.each)) - self.free
 
 
-def log_prior_of(count: int, settings: SearchSettings) -> float:
+def log_prior_of(count: int) -> float:
     """Return the log prior odds of one subset of so many parameters, over none being off.
 
     Every number is less likely than one fewer by the same odds; of so many all subsets are as likely.
@@ -62,21 +62,19 @@ def log_prior_of(count: int, settings: SearchSettings) -> float:
     if not count:
         return 0.0
     alike = sum(len(subset) == count for subset in SUBSETS + _ONE_WHEEL)
-    return float(np.log(PRIOR_SHIFT_ODDS) + (count - 1) * np.log(settings.further) - np.log(alike))
+    return float(np.log(PRIOR_SHIFT_ODDS) + (count - 1) * np.log(FURTHER) - np.log(alike))
 
 
-def without_unidentified(
-    subset: tuple[int, ...], probabilities: FloatArray, settings: SearchSettings
-) -> tuple[int, ...]:
+def without_unidentified(subset: tuple[int, ...], probabilities: FloatArray) -> tuple[int, ...]:
     """Return a subset without parameters that are no likelier for what was measured.
 
     Of what does not show only the prior is left, by which three may well be off together.
 
     `subset`: one of `SUBSETS`; `probabilities`: (n_subsets,).
     """
-    prior = {own: np.exp(log_prior_of(len(own), settings)) for own in SUBSETS}
+    prior = {own: np.exp(log_prior_of(len(own))) for own in SUBSETS}
     for way in _ONE_WHEEL:
-        prior[_both_radii(way)] += np.exp(log_prior_of(len(way), settings))
+        prior[_both_radii(way)] += np.exp(log_prior_of(len(way)))
     spoken = {own: float(p) / prior[own] for own, p in zip(SUBSETS, probabilities, strict=True)}
     while len(subset) > 1:
         best = max((tuple(k for k in subset if k != own) for own in subset), key=lambda fewer: spoken[fewer])
@@ -124,7 +122,6 @@ def weigh_subsets(
     sizes: Sequence[FloatArray],
     values: FloatArray,
     covariance: FloatArray,
-    settings: SearchSettings,
     shifts: Mapping[str, tuple[str, ...]],
     gains: FloatArray | float = 0.0,
 ) -> SubsetWeights:
@@ -135,7 +132,7 @@ def weigh_subsets(
 
     Parameters
     ----------
-    system, settings
+    system
     model
         Forms, by their numbers in the system.
     sizes
@@ -158,7 +155,7 @@ def weigh_subsets(
         form = system.forms[number]
         contribution = system.of(number) @ size
         fixed.append(system.of(number) * max(effect_scale(size, form), MIN_EFFECT_SD))
-        deviations[:, place] = settings.tolerance * contribution
+        deviations[:, place] = TOLERANCE * contribution
         looks_like = [NAMES.index(name) for name in shifts.get(form.effect, ())]
         of_both = covariance[np.ix_([0, 1, 2, first], [0, 1, 2, first])]
         first += len(size)
@@ -170,7 +167,7 @@ def weigh_subsets(
     times = np.concatenate([values, (values @ DIRECTIONS)[:2]]) / typical
     per_way = (system.calibration / CALIBRATION_SD) @ ways.T * typical
     columns = np.concatenate([per_way, system.calibration[:, :3]], axis=1)
-    sums = system.sums_of(columns, np.concatenate(fixed, axis=1), deviations, prior_rest=settings.prior_rest)
+    sums = system.sums_of(columns, np.concatenate(fixed, axis=1), deviations)
 
     held, free = np.broadcast_to(0.0 if len(model) else gains, (2, len(sums.log_prior)))
 
@@ -185,7 +182,7 @@ def weigh_subsets(
             return weight([], 1.0)
         # one scale for all that is off, chosen by size
         scale = float(np.clip(np.sqrt(np.mean(times[[*subset]] ** 2)), 0.1, 10.0))
-        return weight([*subset], scale) + log_prior_of(len(subset), settings) - SCALE_CHOICE_COST
+        return weight([*subset], scale) + log_prior_of(len(subset)) - SCALE_CHOICE_COST
 
     weights = {subset: of_subset(subset) for subset in SUBSETS + _ONE_WHEEL}
     for subset in _ONE_WHEEL:
@@ -214,12 +211,10 @@ class Recalibration:
         return float(sum(p for s, p in zip(self.subsets, self.probabilities, strict=True) if name in s))
 
 
-def judge_recalibration(
-    search: SearchResult, settings: SearchSettings, shifts: Mapping[str, tuple[str, ...]]
-) -> Recalibration:
+def judge_recalibration(search: SearchResult, shifts: Mapping[str, tuple[str, ...]]) -> Recalibration:
     """Weigh the subsets of the calibration's parameters, beside each likely set of effects that `search` has.
 
-    For `settings` and `shifts` see `weigh_subsets`.
+    For `shifts` see `weigh_subsets`.
     """
     fitted, gains = search.fitted, search.gains
     if fitted.path.s.calibration_held:
@@ -232,11 +227,11 @@ def judge_recalibration(
     sd = np.sqrt(np.diag(OF_WHEELS @ fitted.covariance[:3, :3] @ OF_WHEELS.T))
     units = np.concatenate([np.ones(4), *(form.typical for form in fitted.forms)])
     covariance = fitted.covariance / np.outer(units, units)
-    of_own = weigh_subsets(system, range(len(own)), own, values, covariance, settings, shifts, gains)
+    of_own = weigh_subsets(system, range(len(own)), own, values, covariance, shifts, gains)
     weighed = [(1.0, of_own.probabilities)]
     for model, weight in search.alternatives:
         free = free_estimates(search.system, model, search.weighting)
-        weighed.append((weight, weigh_subsets(search.system, model, *free, settings, shifts, gains).probabilities))
+        weighed.append((weight, weigh_subsets(search.system, model, *free, shifts, gains).probabilities))
     instead = {name: _instead(k, search, weighed) for k, name in enumerate(NAMES)}
     total = sum(weight for weight, _ in weighed)
     probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total
@@ -259,8 +254,8 @@ def judge_recalibration(
         sd=sd,
         signal=np.maximum(norm, 1e-12) * np.abs(values),
         instead=instead,
-        likeliest=tuple(NAMES[k] for k in without_unidentified(likeliest, probability, settings)),
-        needed=tuple(NAMES[k] for k in without_unidentified(needed, probability, settings)),
+        likeliest=tuple(NAMES[k] for k in without_unidentified(likeliest, probability)),
+        needed=tuple(NAMES[k] for k in without_unidentified(needed, probability)),
     )
 
 

@@ -18,6 +18,10 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: cost of choosing the prior's scale by the fitted size, in log-evidence units
 SCALE_CHOICE_COST: Final = float(np.log(4.0))
+#: prior odds of one more effect at work
+FURTHER: Final = 0.5
+#: prior odds of a lack of fit: at three times these it made two thirds of the false alarms, at these a third
+PRIOR_REST: Final = 0.05
 #: a form of more columns stands apart
 WIDE_FORM: Final = 24
 #: of a sum of some thousand products in double precision, relative
@@ -74,8 +78,8 @@ class FormPriors:
     is_law: FloatArray  #: shape (n_forms,): 1 for laws of the load
 
     @staticmethod
-    def from_forms(forms: Sequence[Form], further: float) -> "FormPriors":
-        """Make it of forms and the prior odds of one effect more at work.
+    def from_forms(forms: Sequence[Form]) -> "FormPriors":
+        """Make it of forms.
 
         Every number of effects is less likely than one fewer by the same odds, and of so many every set is as likely.
         Scott, Berger: Bayes and empirical-Bayes multiplicity adjustment, Annals of Statistics 38 (2010), 2587-2619.
@@ -90,7 +94,7 @@ class FormPriors:
         # half of the prior lies on the impossible sign
         signed = np.array([sum(p.sign != 0 for p in form.parameters) for form in forms])
         log_prior = -np.log([form.tries for form in forms]) - SCALE_CHOICE_COST + np.log(2.0) * signed
-        by_count = np.array([k * log(further) - log(comb(n_effects, k)) for k in range(n_effects + 1)])
+        by_count = np.array([k * log(FURTHER) - log(comb(n_effects, k)) for k in range(n_effects + 1)])
         is_law = np.array([effect_class(form.effect).is_load_law for form in forms], dtype=np.float64)
         return FormPriors(tuple(forms), layout, most, sign, own, log_prior, by_count, is_law)
 
@@ -235,7 +239,6 @@ def scalar_products(
     common: dict[int, slice],
     sizes: tuple[int, int, int],
     scales: Sequence[float],
-    prior_rest: float,
 ) -> Sums:
     """Return the scalar products of columns and gap under each scale of the lack of fit.
 
@@ -249,8 +252,8 @@ def scalar_products(
         Places of columns common to all blocks, by number.
     sizes
         Numbers of nuisances, columns and a wide form's columns.
-    scales, prior_rest
-        Of the lack of fit, and its prior odds.
+    scales
+        Of the lack of fit.
     """
     m, p, w = sizes
     core, apart = slice(0, m + p + 1), slice(m + p + 1, m + p + 1 + w)
@@ -292,7 +295,7 @@ def scalar_products(
         right=left[:, :-1, -1],
         square=left[:, -1, -1],
         log_det=np.array(log_dets) + 2 * (np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum(axis=1),
-        log_prior=_log_priors([kind for _, kind in kinds], scales, prior_rest),
+        log_prior=_log_priors([kind for _, kind in kinds], scales),
         kind=np.array([number for number, _ in labels]),
         scale=np.array([scale for _, scale in labels]),
         n_rows=reduced.n_rows,
@@ -300,10 +303,10 @@ def scalar_products(
     )
 
 
-def _log_priors(kinds: Sequence[LackOfFit], scales: Sequence[float], prior_rest: float) -> FloatArray:
+def _log_priors(kinds: Sequence[LackOfFit], scales: Sequence[float]) -> FloatArray:
     others = sum(not kind.is_scatter for kind in kinds)
     odds = [
-        float(kind.is_plausible(scale)) if kind.is_scatter else prior_rest / others
+        float(kind.is_plausible(scale)) if kind.is_scatter else PRIOR_REST / others
         for kind in kinds
         for scale in scales
     ]

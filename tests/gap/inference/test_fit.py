@@ -20,7 +20,7 @@ from calib.gap.inference.fit import (
     undetermined,
 )
 from calib.gap.inference.linear_model import LinearSystem
-from calib.gap.inference.local_search import LocalSearch, SearchSettings
+from calib.gap.inference.local_search import LocalSearch
 from calib.gap.inference.model_search import continuation_start, is_far
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.observations.arrays import Observations
@@ -167,19 +167,19 @@ def test_of_effects_that_bend_alike_the_one_whose_own_path_fits_is_begun_with() 
     observations, nominal, noise, base = _loaded(3.0)
     forms = _forms(observations, "floor_slope", "curve_scrub", "load_radius", "temperature_radius")
     assert is_far(base)
-    near = continuation_start(LinearSystem(base, nominal, noise, forms), 6)
+    near = continuation_start(LinearSystem(base, nominal, noise, forms))
     assert [form.effect for form in near.forms] == ["load_radius"]
     assert not is_far(near)
 
 
 def test_where_little_is_left_the_search_begins_at_the_calibration() -> None:
     observations, nominal, noise, base = _loaded(0.02)
-    assert continuation_start(LinearSystem(base, nominal, noise, _forms(observations, "load_radius")), 6) is base
+    assert continuation_start(LinearSystem(base, nominal, noise, _forms(observations, "load_radius"))) is base
 
 
 def test_what_takes_less_than_half_away_is_not_begun_with() -> None:
     observations, nominal, noise, base = _loaded(3.0)
-    assert continuation_start(LinearSystem(base, nominal, noise, _forms(observations, "rangefinder_offset")), 6) is base
+    assert continuation_start(LinearSystem(base, nominal, noise, _forms(observations, "rangefinder_offset"))) is base
 
 
 def test_a_wrong_effect_about_a_path_far_off_turns_no_wheel_inside_out() -> None:
@@ -187,7 +187,7 @@ def test_a_wrong_effect_about_a_path_far_off_turns_no_wheel_inside_out() -> None
     observations, nominal, noise, fitted = _loaded(3.0)
     forms = _forms(observations, "wheel_eccentricity")[:1]
     for _ in range(4):
-        greedy_search = LocalSearch(LinearSystem(fitted, nominal, noise, forms), SearchSettings())
+        greedy_search = LocalSearch(LinearSystem(fitted, nominal, noise, forms))
         fitted = greedy_search.with_current((0,)).fitted()
         assert np.all(np.abs(fitted.calibration[:2]) < OFF)
 

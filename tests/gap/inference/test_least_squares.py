@@ -74,7 +74,7 @@ def test_what_a_deviation_takes_all_of_has_no_negative_square() -> None:
     system = _warm_system()
     long = 1e8 * system.calibration[:, :3] / np.linalg.norm(system.calibration[:, :3], axis=0)
     mixed = long @ np.random.default_rng(7).standard_normal((3, 40))
-    sums = system.sums_of(mixed, system.calibration, 1e4 * long, prior_rest=0.1)
+    sums = system.sums_of(mixed, system.calibration, 1e4 * long)
     squares = np.diagonal(sums.gram, axis1=1, axis2=2)
     assert np.all(squares >= 0.0)
     assert np.all(sums.square >= 0.0)

@@ -141,7 +141,7 @@ FURTHER = 0.5
 
 def _columns(n_effects: int) -> FormPriors:
     forms = [Form(f"effect_{k % n_effects}", "", (), lambda _: []) for k in range(2 * n_effects)]
-    return FormPriors.from_forms(forms, FURTHER)
+    return FormPriors.from_forms(forms)
 
 
 def test_every_number_of_effects_has_the_same_odds_against_one_fewer() -> None:
@@ -256,7 +256,7 @@ def test_straight_and_curved_law_of_the_load_are_one_cause() -> None:
     names = ("load_radius", "load_radius_nonlinear", "speed_radius")
     parameter = Parameter("size", "1", typical=1.0, largest=3.0)
     forms = [Form(name, "", (parameter,), lambda _: [], tries=1) for name in names]
-    priors = FormPriors.from_forms(forms, 0.5)
+    priors = FormPriors.from_forms(forms)
     one, both, other, all_three = priors.priors([(0,), (0, 1), (0, 2), (0, 1, 2)])
     np.testing.assert_allclose([both, all_three], [one - SCALE_CHOICE_COST, other - SCALE_CHOICE_COST])
     assert both > other

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from calib.gap.effects.library import library
+from calib.gap.inference import local_search
 from calib.gap.inference.fit import fit
-from calib.gap.inference.local_search import SearchResult, SearchSettings
+from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.model_search import _most_probable, _WeighedModels, search
 from calib.gap.plan.identifiability import noise_at
 from calib.gap.predict import predict
@@ -22,9 +23,7 @@ Truth = Callable[[Run, Motion], None]
 
 
 @cache
-def searched(
-    truth: Truth, exclude: tuple[str, ...] = (), settings: SearchSettings | None = None, seed: int = 2
-) -> SearchResult:
+def searched(truth: Truth, exclude: tuple[str, ...] = (), seed: int = 2) -> SearchResult:
     """The search on rich runs with instruments that scatter as stated, made once; nobody changes it."""
     rng = np.random.default_rng(seed)
 
@@ -41,7 +40,7 @@ def searched(
     s = situation(runs, truth=shaken)
     nominal = predict(s)
     noise = noise_at(nominal, {})
-    return search(nominal, noise, fit(nominal, noise), library(s, exclude=exclude), settings)
+    return search(nominal, noise, fit(nominal, noise), library(s, exclude=exclude))
 
 
 def load_radius(run: Run, now: Motion) -> None:
@@ -93,9 +92,10 @@ def test_noise_beside_a_strong_effect_seldom_looks_like_a_rest() -> None:
     assert sum(searched(load_radius, seed=seed).rest > 0.5 for seed in range(2, 6)) < 2
 
 
-def test_two_causes_are_found_among_the_pairs_of_the_likeliest_alone() -> None:
+def test_two_causes_are_found_among_the_pairs_of_the_likeliest_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """As among all pairs: of a large library only those of so many effects are tried."""
-    assert searched(two, settings=SearchSettings(paired=4)).effects == ("rangefinder_offset", "temperature_radius")
+    monkeypatch.setattr(local_search, "PAIRED", 4)
+    assert searched.__wrapped__(two).effects == ("rangefinder_offset", "temperature_radius")
 
 
 def scrub(run: Run, now: Motion) -> None:

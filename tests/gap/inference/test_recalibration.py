@@ -12,9 +12,9 @@ import pytest
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.radii import DIRECTIONS, TYPICAL, TemperatureRadius
 from calib.gap.effects.turning import LoadDependentTrack
+from calib.gap.inference import recalibration, scalar_products
 from calib.gap.inference.fit import CALIBRATION_SD, fit
 from calib.gap.inference.linear_model import LinearSystem
-from calib.gap.inference.local_search import SearchSettings
 from calib.gap.inference.marginal_likelihood import FLOOR_DOF
 from calib.gap.inference.recalibration import (
     ATTRIBUTED_SHIFT_SHARE,
@@ -56,7 +56,7 @@ def judged(
     fitted = fit(nominal, noise, forms, steps=8)
     system, effects = LinearSystem(fitted, nominal, noise, forms), tuple(form.effect for form in forms)
     search = SimpleNamespace(fitted=fitted, system=system, effects=effects, alternatives=(), gains=0.0)
-    return judge_recalibration(search, SearchSettings(), shifts or {})  # type: ignore[arg-type]
+    return judge_recalibration(search, shifts or {})  # type: ignore[arg-type]
 
 
 def radius_scale(run: Run, now: Motion) -> None:
@@ -138,7 +138,6 @@ def test_a_track_is_that_of_a_load_which_a_vehicle_can_bear_or_off_by_itself(
 #: rounding of sums over some hundred rows, in log-evidence units
 ROUNDING = 1e-6
 #: without a lack of fit, and with the evidence as it is
-PLAIN = SearchSettings(prior_rest=1e-300, tolerance=1e-9)
 #: of one subset of so many: 0.3, 0.15 and 0.075 for all of a size together, of which there are 5, 5 and 1
 PRIOR_ODDS = (1.0, 0.06, 0.03, 0.075)
 
@@ -173,11 +172,13 @@ def _of_subset(gap: np.ndarray, fixed: np.ndarray, unit: np.ndarray, times: np.n
     return _log_density(gap, np.concatenate([fixed, scale * unit], axis=1)) + np.log(PRIOR_ODDS[len(times)] / 4.0)
 
 
-def test_each_subset_weighs_what_its_density_says() -> None:
+def test_each_subset_weighs_what_its_density_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Log weights beside a form are those of the dense normal model, up to one constant; so is the free calibration."""
+    monkeypatch.setattr(recalibration, "TOLERANCE", 1e-9)
+    monkeypatch.setattr(scalar_products, "PRIOR_REST", 1e-300)
     system = _system()
     size, values = np.array([2.0]), np.array([0.002, 0.001, 0.02])
-    weights = weigh_subsets(system, [0], [size], values, np.eye(5), PLAIN, {"temperature_radius": ("radius_scale",)})
+    weights = weigh_subsets(system, [0], [size], values, np.eye(5), {"temperature_radius": ("radius_scale",)})
     directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
     contribution = system.of(0) @ size
     excused = (
@@ -217,6 +218,6 @@ def test_a_parameter_that_is_no_likelier_for_the_data_is_not_held_to_be_off() ->
     speaks = np.array([0 in subset for subset in SUBSETS], dtype=float)
     silent = prior * speaks / (prior * speaks).sum()
     assert SUBSETS[int(np.argmax(silent))] != (0,)
-    assert without_unidentified(SUBSETS[int(np.argmax(silent))], silent, PLAIN) == (0,)
+    assert without_unidentified(SUBSETS[int(np.argmax(silent))], silent) == (0,)
     louder = prior * np.array([10.0 ** len(subset) for subset in SUBSETS])
-    assert without_unidentified((0, 1, 2), louder / louder.sum(), PLAIN) == (0, 1, 2)
+    assert without_unidentified((0, 1, 2), louder / louder.sum()) == (0, 1, 2)

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from calib.gap.effects.load import LoadRadius
 from calib.gap.inference.fit import fit
 from calib.gap.inference.linear_model import LinearSystem
-from calib.gap.inference.local_search import LocalSearch, SearchSettings
+from calib.gap.inference.local_search import LocalSearch
 from calib.gap.inference.marginal_likelihood import log_marginal
 from calib.gap.inference.model_search import _weighed
 from calib.gap.inference.noise import estimate_noise
@@ -112,7 +112,7 @@ def test_noise_estimated_too_small_makes_no_gap() -> None:
     nothing = []
     for noise in (right.noise, small):
         system = LinearSystem(fit(right.path, noise), right.path, noise, right.forms)
-        nothing.append(_weighed(LocalSearch(system, SearchSettings()), {}).nothing)
+        nothing.append(_weighed(LocalSearch(system), {}).nothing)
     assert nothing[1] > 0.5 * nothing[0] > 0.0
 
 
@@ -134,5 +134,5 @@ def test_a_reference_coarser_than_stated_makes_no_radius_wrong(off: float, seeds
         no_laser = np.arange(seen.measured.shape[1]) != Channel.DISTANCE
         nominal = predict(replace(seen, usable=seen.usable & no_laser))
         noise = estimate_noise(nominal, residuals(nominal, nominal))
-        local = LocalSearch(LinearSystem(fit(nominal, noise), nominal, noise, ()), SearchSettings())
+        local = LocalSearch(LinearSystem(fit(nominal, noise), nominal, noise, ()))
         assert (_weighed(local, {}).as_believed > 0.5) is believed
