@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
 from calib.gap.observations.observation import let_go
-from calib.gap.steps import AT_ENDS, LINE, TURN, WAY, Perturbation, Steps, X, Y, steps_of, total_perturbation
+from calib.gap.steps import AT_ENDS, LINE, TURN, WAY, Perturbation, Steps, X, Y, total_perturbation
 from calib.types import BoolArray, FloatArray
 
 #: a run whose wheels turn by less than this in all, to and fro, was guided
@@ -39,7 +39,7 @@ class Path:
     @property
     def steps(self) -> Steps:
         """The steps of all observations; integrated anew each time where they are too many to be kept: see `parts`."""
-        return steps_of(self.s, self.perturbation) if self.kept is None else self.kept
+        return Steps(self.s, self.perturbation) if self.kept is None else self.kept
 
     def traces(self) -> list[FloatArray]:
         """Return the poses (n, 3) of each observation: its start, the middles of its steps, its end."""
@@ -63,7 +63,7 @@ class Path:
         for units in self.s.spans:
             part, perturbation = self.s.part(units), self.perturbation.part(units, self.s)
             own = (self.end[units], self.reading[units], self.line_m[units])
-            yield units, Path(part, perturbation, *own, steps_of(part, perturbation))
+            yield units, Path(part, perturbation, *own, Steps(part, perturbation))
             let_go(*self.s.steps, *self.perturbation.parts())
 
     @cached_property
@@ -187,7 +187,7 @@ def predict(s: Observations, perturbations: list[Perturbation] | None = None) ->
 
 
 def _predicted(s: Observations, perturbation: Perturbation) -> Path:
-    steps = steps_of(s, perturbation)
+    steps = Steps(s, perturbation)
     reading = np.zeros((len(s), N_CHANNELS))
     path = Path(s, perturbation, steps.end, reading, s.total(steps.ds_m * steps.weave_cos), steps)
     reading[:, [*POSE, Channel.HEADING]] = steps.end

@@ -133,33 +133,51 @@ SPARSE_SHARE: Final = 4
 Lever = tuple[tuple[int, ...], FloatArray]
 
 
-@dataclass(frozen=True, eq=False)
 class Steps:
-    """Steps of every observation under a hypothesis, each observation in the frame of its own start."""
+    """Steps of every observation under a hypothesis that is already scaled, each in the frame of its own start.
 
-    s: Observations  #: what was driven
-    #: ds_left_m, ds_right_m: shape (n_steps,): travel of the wheels
-    ds_left_m: FloatArray
-    ds_right_m: FloatArray
-    #: ds_m, turn_rad: shape (n_steps,): motion of the axle's middle along, and its turn
-    ds_m: FloatArray
-    turn_rad: FloatArray
-    track_m: FloatArray  #: shape (n_steps,) or (1,): track
-    #: mid_rad, x_m, y_m: shape (n_steps,): heading at the middle of each step, position at its middle
-    mid_rad: FloatArray
-    x_m: FloatArray
-    y_m: FloatArray
-    end: FloatArray  #: shape (n_obs, 3): end pose
+    Counts are integrated in exact arcs.
+    """
 
-    @cached_property
-    def cos(self) -> FloatArray:
-        """Cosine of the heading at the middle of each step, shape (n_steps,)."""
-        return np.asarray(np.cos(self.mid_rad))
+    def __init__(self, s: Observations, perturbation: Perturbation) -> None:
+        unit, self.s = s.unit, s
 
-    @cached_property
-    def sin(self) -> FloatArray:
-        """Sine of the heading at the middle of each step, shape (n_steps,)."""
-        return np.asarray(np.sin(self.mid_rad))
+        def wide(part: FloatArray) -> FloatArray:
+            return part if len(part) == len(unit) else part[unit]
+
+        # most hypotheses leave most of this alone, and every product goes through all steps
+        left = s.travel_left_m if perturbation.left is None else s.travel_left_m * (1.0 + wide(perturbation.left))
+        right = s.travel_right_m if perturbation.right is None else s.travel_right_m * (1.0 + wide(perturbation.right))
+        track = s.model.track_m * (np.ones(1) if perturbation.track is None else 1.0 + wide(perturbation.track))
+        ds, turn = 0.5 * (left + right), (right - left) / track
+        if perturbation.along_m is not None:
+            ds += wide(perturbation.along_m)
+        if perturbation.heading_rad is not None:
+            turn += wide(perturbation.heading_rad)
+        slip = None if perturbation.lateral_m is None else wide(perturbation.lateral_m)
+        if s.aside_m is not None:
+            sides = (perturbation.left, perturbation.right)
+            by_left, by_right = (0.0 if part is None else wide(part) for part in sides)
+            aside = s.aside_m * (1.0 + 0.5 * (by_left + by_right))
+            slip = aside if slip is None else slip + aside
+        heading = s.cumulative(turn)
+        #: shape (n_steps,): heading at the middle of each step, its cosine and its sine
+        self.mid_rad = heading - 0.5 * turn + _bend(s, turn)
+        self.cos, self.sin = np.cos(self.mid_rad), np.sin(self.mid_rad)
+        half = 0.5 * turn
+        chord = ds * (1.0 - half * half / 6.0)
+        dx, dy = chord * self.cos, chord * self.sin
+        if slip is not None:
+            dx -= slip * self.sin
+            dy += slip * self.cos
+        x, y = s.cumulative(dx), s.cumulative(dy)
+        last = s.starts[1:] - 1
+        #: shape (n_steps,): travel of the wheels; motion of the axle's middle along, and its turn
+        self.ds_left_m, self.ds_right_m, self.ds_m, self.turn_rad = left, right, ds, turn
+        self.track_m = track  #: shape (n_steps,) or (1,)
+        #: shape (n_steps,): position at the middle of each step
+        self.x_m, self.y_m = x - 0.5 * dx, y - 0.5 * dy
+        self.end = np.stack([x[last], y[last], heading[last]], axis=1)  #: shape (n_obs, 3): end pose
 
     @cached_property
     def lever_x(self) -> FloatArray:
@@ -261,54 +279,6 @@ _LEVERS: Final[dict[str, Callable[[Steps], Lever]]] = {
     "along_m": lambda s: ((X, Y, LINE, WAY), np.stack([s.cos, s.sin, s.weave_cos, np.ones_like(s.cos)])),
     "lateral_m": lambda s: ((X, Y), np.stack([-s.sin, s.cos])),
 }
-
-
-def steps_of(s: Observations, perturbation: Perturbation) -> Steps:
-    """Integrate the counts (exact arcs) under a hypothesis that is already scaled by its parameters."""
-    unit = s.unit
-
-    def wide(part: FloatArray) -> FloatArray:
-        return part if len(part) == len(unit) else part[unit]
-
-    # most hypotheses leave most of this alone, and every product goes through all steps
-    left = s.travel_left_m if perturbation.left is None else s.travel_left_m * (1.0 + wide(perturbation.left))
-    right = s.travel_right_m if perturbation.right is None else s.travel_right_m * (1.0 + wide(perturbation.right))
-    track = s.model.track_m * (np.ones(1) if perturbation.track is None else 1.0 + wide(perturbation.track))
-    ds, turn = 0.5 * (left + right), (right - left) / track
-    if perturbation.along_m is not None:
-        ds += wide(perturbation.along_m)
-    if perturbation.heading_rad is not None:
-        turn += wide(perturbation.heading_rad)
-    slip = None if perturbation.lateral_m is None else wide(perturbation.lateral_m)
-    if s.aside_m is not None:
-        by_left, by_right = (0.0 if part is None else wide(part) for part in (perturbation.left, perturbation.right))
-        aside = s.aside_m * (1.0 + 0.5 * (by_left + by_right))
-        slip = aside if slip is None else slip + aside
-    heading = s.cumulative(turn)
-    mid = heading - 0.5 * turn + _bend(s, turn)
-    half = 0.5 * turn
-    chord = ds * (1.0 - half * half / 6.0)
-    c, sn = np.cos(mid), np.sin(mid)
-    dx, dy = chord * c, chord * sn
-    if slip is not None:
-        dx -= slip * sn
-        dy += slip * c
-    x, y = s.cumulative(dx), s.cumulative(dy)
-    last = s.starts[1:] - 1
-    steps = Steps(
-        s=s,
-        ds_left_m=left,
-        ds_right_m=right,
-        ds_m=ds,
-        turn_rad=turn,
-        track_m=track,
-        mid_rad=mid,
-        x_m=x - 0.5 * dx,
-        y_m=y - 0.5 * dy,
-        end=np.stack([x[last], y[last], heading[last]], axis=1),
-    )
-    vars(steps).update(cos=c, sin=sn)
-    return steps
 
 
 def _bend(s: Observations, turn: FloatArray) -> FloatArray:

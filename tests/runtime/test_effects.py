@@ -12,7 +12,7 @@ from calib.campaign.model import Campaign
 from calib.coefficients.sections import EffectSection
 from calib.gap.effects.library import applied_perturbations, every_effect, section_of
 from calib.gap.observations.arrays import Observations
-from calib.gap.steps import steps_of, total_perturbation
+from calib.gap.steps import Steps, total_perturbation
 from calib.runtime import CoefficientError, Effects, Run
 from calib.runtime.effects import _ACTS
 from tests.runtime.driving import coefficient_file, driven_runs, run_of, sections_of
@@ -31,7 +31,7 @@ def _assert_agrees(made: Campaign, s: Observations, sections: list[EffectSection
     perturbations, notes = applied_perturbations(s, sections)
     assert notes == []
     total = total_perturbation(s, perturbations)
-    steps = steps_of(s, total)
+    steps = Steps(s, total)
     track = np.broadcast_to(steps.track_m, s.unit.shape)
     turn = steps.turn_rad
     aside = np.zeros(len(s.unit)) if total.lateral_m is None else total.lateral_m

@@ -118,7 +118,7 @@ def _shares(
 
 def _sized(evidence: Evidence) -> list[_Sized]:
     system, fitted, recalibration = evidence.system, evidence.fitted, evidence.recalibration
-    nuisance = Nuisance.of(system.calibration)
+    nuisance = Nuisance(system.calibration)
     sized, own = [], np.eye(4 + len(fitted.parameters))
     for form, theta, place in fitted.each():
         columns = system.columns(form) / form.typical

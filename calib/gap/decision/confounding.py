@@ -78,7 +78,7 @@ def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Dist
     def near(
         names: Sequence[str], others: Sequence[FloatArray], forms: Mapping[str, Sequence[Form]], by: float = 1.0
     ) -> dict[str, float]:
-        numbers, nuisance = [NAMES.index(name) for name in names], Nuisance.of(np.concatenate([*free, *others], axis=1))
+        numbers, nuisance = [NAMES.index(name) for name in names], Nuisance(np.concatenate([*free, *others], axis=1))
         does = evidence.per_unit @ DIRECTIONS[numbers].T @ evidence.recalibration.values[numbers] / by
         return aliases_of(system, nuisance, does, forms, evidence.named, within)
 
@@ -117,7 +117,7 @@ def _of_effect(evidence: Evidence, number: int, within: float) -> Distances:
             for name, forms in evidence.search.forms.items()
             if held == (own or evidence.effects[name].needs_calibration)
         }
-        nuisance = Nuisance.of(np.concatenate([*calibration, *others], axis=1))
+        nuisance = Nuisance(np.concatenate([*calibration, *others], axis=1))
         if SpeedRadius.id in compared and evidence.effects[form.effect].family is Family.DIRECTION:
             compared[SpeedRadius.id] = evidence.own_forms[SpeedRadius.id]
         near |= aliases_of(system, nuisance, contribution, compared, evidence.named, within)
@@ -146,7 +146,7 @@ def apart_on(
 
 
 def _absorbing(evidence: Evidence, contribution: FloatArray, within: float) -> dict[str, float]:
-    left = Nuisance.of(evidence.system.calibration).scalar(contribution[:, None], contribution[:, None])[0, 0]
+    left = Nuisance(evidence.system.calibration).scalar(contribution[:, None], contribution[:, None])[0, 0]
     if not (left < within**2 and contribution @ contribution > SEPARATION_SD**2):
         return {}
     columns = evidence.per_unit @ DIRECTIONS.T
@@ -267,7 +267,7 @@ def refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) ->
     calibration = (system.calibration / CALIBRATION_SD) @ directions * CALIBRATION_SD[0]
     columns = np.concatenate([calibration, *(system.of(k) for k in numbers)], axis=1)
     precision = np.concatenate([np.ones(len(free)), prior_precision(4 + columns.shape[1] - len(free))[4:]])
-    sizes, _ = Weighting.from_component(system).solve(columns, precision)
+    sizes, _ = Weighting(system).solve(columns, precision)
     residual = system.gap - columns @ sizes
     change = directions @ sizes[: len(free)] * CALIBRATION_SD[0]
     parts = np.split(sizes, np.cumsum([len(free), *(len(form.parameters) for form in forms)])[:-1])[1:]

@@ -281,7 +281,7 @@ def _acts_opposite(evidence: Evidence, form: Form) -> bool:
     for own, theta, _ in fitted.each():
         if own.effect == form.effect and len(own.parameters) == len(form.parameters):
             acting = [(system.columns(each) @ (theta / own.typical))[:, None] for each in (own, form)]
-            return float(Nuisance.of(system.calibration).scalar(*acting)[0, 0]) < 0.0
+            return float(Nuisance(system.calibration).scalar(*acting)[0, 0]) < 0.0
     return False
 
 

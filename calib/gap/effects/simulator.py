@@ -86,20 +86,16 @@ class SimulatorParameter(Effect):
         return [Form(self.id, "", (self.parameter,), pushed)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _Basis:
-    wheels: FloatArray  #: relative change of left, right and track by each number, shape (n_obs, 3, k)
-    columns: FloatArray  #: weighted readings by each number, shape (n_groups, n_readings, k)
-    inverse: FloatArray  #: shape (n_groups, k, n_readings)
-    most: float  #: a step is taken where it promises, linear, to leave no more than this share
-    enough: float  #: and is worth it where it leaves no more than this share
-
-    @classmethod
-    def of(cls, wheels: FloatArray, by_wheels: FloatArray, groups: int, most: float, enough: float) -> "_Basis":
-        columns = (by_wheels @ wheels).reshape(groups, -1, wheels.shape[2])
-        turned = np.swapaxes(columns, 1, 2)
-        inverse = np.linalg.solve(np.eye(wheels.shape[2]) + turned @ columns, turned)
-        return cls(wheels, columns, np.asarray(inverse, dtype=np.float64), most, enough)
+    # relative change of left, right and track by each number, (n_obs, 3, k); a step is taken where it promises, linear,
+    # to leave no more than the share `most`, and is worth it where it leaves no more than `enough`
+    def __init__(self, wheels: FloatArray, by_wheels: FloatArray, groups: int, most: float, enough: float) -> None:
+        self.wheels, self.most, self.enough = wheels, most, enough
+        #: weighted readings by each number, shape (n_groups, n_readings, k)
+        self.columns = (by_wheels @ wheels).reshape(groups, -1, wheels.shape[2])
+        turned = np.swapaxes(self.columns, 1, 2)
+        #: shape (n_groups, k, n_readings)
+        self.inverse = np.linalg.solve(np.eye(wheels.shape[2]) + turned @ self.columns, turned)
 
 
 class WheelMotion:
@@ -118,14 +114,14 @@ class WheelMotion:
 
         def in_all(numbers: list[FloatArray], most: float, enough: float) -> _Basis:
             wheels = np.concatenate([number[:, :, None] * each for number in numbers], axis=2)
-            return _Basis.of(wheels, by_wheels, 1, most, enough)
+            return _Basis(wheels, by_wheels, 1, most, enough)
 
         follows = 1.0 if self.noisy else _FOLLOWS_SHARE
         self.together = [in_all([ones], _PROMISED_SHARE, _LEFT_SHARE)]
         self.together += [in_all([ones, one], follows, _ALL_BUT) for one in _quantities(s)]
         # alike where that will do: a closed square hardly tells the wheels apart
-        alike = _Basis.of(each[:, :, :2].sum(axis=2, keepdims=True), by_wheels, len(s), _FOLLOWS_SHARE, _ALL_BUT)
-        both = _Basis.of(each[:, :, :2], by_wheels, len(s), _PROMISED_SHARE, _LEFT_SHARE)
+        alike = _Basis(each[:, :, :2].sum(axis=2, keepdims=True), by_wheels, len(s), _FOLLOWS_SHARE, _ALL_BUT)
+        both = _Basis(each[:, :, :2], by_wheels, len(s), _PROMISED_SHARE, _LEFT_SHARE)
         self.by_run = [both] if self.noisy else [alike, both]
 
     def carried(self, change: FloatArray, step: float, *, both_ways: bool = False) -> Carried:

@@ -40,14 +40,19 @@ class BlockColumns:
     part: FloatArray  #: shape (n, length, q)
 
 
-@dataclass(frozen=True, eq=False)
 class Blocks:
-    """Rows of the whitened system, a condition's together, and conditions of one length."""
+    """Rows of the whitened system, a condition's together, conditions of as many rows side by side."""
 
-    order: IntArray  #: shape (n_rows,): of each ordered row among the usable (unit, channel) rows
-    starts: IntArray  #: shape (n_blocks + 1,): rows of block b stand at ``starts[b]:starts[b + 1]``
-    unit: IntArray  #: shape (n_rows,): of each ordered row
-    channel: IntArray
+    def __init__(self, s: Observations) -> None:
+        unit, channel = np.nonzero(s.usable)
+        _, condition, count = np.unique(s.condition[unit], return_inverse=True, return_counts=True)
+        #: shape (n_rows,): of each ordered row among the usable (unit, channel) rows
+        self.order = np.lexsort((condition, count[condition]))
+        first = np.flatnonzero(np.diff(condition[self.order], prepend=-1))
+        #: shape (n_blocks + 1,): rows of block b stand at ``starts[b]:starts[b + 1]``
+        self.starts = np.append(first, len(self.order))
+        #: shape (n_rows,): of each ordered row
+        self.unit, self.channel = unit[self.order], channel[self.order]
 
     def __len__(self) -> int:
         return len(self.starts) - 1
@@ -105,15 +110,6 @@ class LackOfFit:
     def is_plausible(self, scale: float) -> bool:
         """Whether radii scatter by so much."""
         return self.relative * scale <= LARGEST_SCATTER
-
-
-def row_blocks(s: Observations) -> Blocks:
-    """Return a campaign's rows by condition, conditions of as many rows side by side."""
-    unit, channel = np.nonzero(s.usable)
-    _, condition, count = np.unique(s.condition[unit], return_inverse=True, return_counts=True)
-    order = np.lexsort((condition, count[condition]))
-    first = np.flatnonzero(np.diff(condition[order], prepend=-1))
-    return Blocks(order, np.append(first, len(order)), unit[order], channel[order])
 
 
 def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[LackOfFit]:

@@ -1,7 +1,6 @@
 """Generalised least squares beside lack of fit: estimates, one controlled step, and residuals of held-out runs."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -31,35 +30,30 @@ def prior_precision(n_columns: int) -> FloatArray:
     return np.concatenate([np.ones(4), np.full(n_columns - 4, 1.0 / fitting.SIZE_SD**2)])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Weighting:
-    """Covariance of the whitened gap beside one scale of the lack of fit."""
+    """Covariance of the whitened gap beside one scale of the lack of fit.
 
-    system: LinearSystem
-    name: str  #: component of lack of fit; empty: none
-    scale: float  #: its standard deviation in noise levels of one run; 0: none
-    #: shape (n, length, k): own columns of blocks of one length, to unit prior variance, beside unit noise
-    own: tuple[FloatArray, ...]
-    #: shape (n_rows, q): columns common to all blocks, to unit prior variance
-    common: FloatArray
+    `kind`: component of lack of fit (-1: none); `scale`: its standard deviation in noise levels of one run;
+    `deviations`: each block's, (n_rows, k).
+    """
 
-    @staticmethod
-    def from_component(
-        system: LinearSystem, kind: int = -1, scale: float = 0.0, deviations: FloatArray | None = None
-    ) -> "Weighting":
-        """Return that of a component (-1: none), its scale and each block's deviations, (n_rows, k)."""
+    def __init__(
+        self, system: LinearSystem, kind: int = -1, scale: float = 0.0, deviations: FloatArray | None = None
+    ) -> None:
         rest = system.kinds[kind] if kind >= 0 else LackOfFit("")
+        self.system, self.name, self.scale = system, rest.name, scale
         nothing = np.zeros((len(system.gap), 0))
-        groups = []
+        #: shape (n, length, k): own columns of blocks of one length, to unit prior variance, beside unit noise
+        self.own: list[FloatArray] = []
         for group, (_, places) in enumerate(system.blocks.alike):
             stacks = [stack for stack in rest.stacks if stack.group == group]
             padded = np.zeros((*places.shape, max((stack.part.shape[2] for stack in stacks), default=0)))
             for stack in stacks:
                 padded[stack.same, :, : stack.part.shape[2]] = scale * stack.part
             own = system.blocks.alike_rows(nothing if deviations is None else deviations, group)
-            groups.append(np.concatenate([own, padded], axis=2))
-        common = nothing if rest.common is None else scale * rest.common
-        return Weighting(system, rest.name, scale, tuple(groups), common)
+            self.own.append(np.concatenate([own, padded], axis=2))
+        #: shape (n_rows, q): columns common to all blocks, to unit prior variance
+        self.common = nothing if rest.common is None else scale * rest.common
 
     def _noise(self, own: FloatArray) -> FloatArray:
         # own columns far beyond their size leave the noise below rounding
@@ -178,7 +172,7 @@ class HeldOutFit:
     ) -> None:
         self.fitted, self.nominal, self.noise = fitted, nominal, noise
         if weighting is None:
-            weighting = Weighting.from_component(LinearSystem(fitted, nominal, noise, fitted.forms))
+            weighting = Weighting(LinearSystem(fitted, nominal, noise, fitted.forms))
         self.weighting = weighting
         columns = weighting.system.columns_of(weighting.system.numbers(fitted.forms))
         basis = np.eye(columns.shape[1]) if along is None else fitting.calibration_basis(along, columns.shape[1] - 4)

@@ -10,7 +10,7 @@ import numpy as np
 from calib.gap.effects.effect import Form
 from calib.gap.inference import fit as fitting
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted
-from calib.gap.inference.lack_of_fit import LACK_OF_FIT_SCALES, Blocks, LackOfFit, lack_of_fit_components, row_blocks
+from calib.gap.inference.lack_of_fit import LACK_OF_FIT_SCALES, Blocks, LackOfFit, lack_of_fit_components
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.scalar_products import Layout, Reduced, Sums, above_rounding, scalar_products
 from calib.gap.predict import Path, residuals
@@ -30,7 +30,7 @@ class LinearSystem:
         path = fitted.path
         self.path, self.nominal, self.noise, self.fitted = path, nominal, noise, fitted
         self.forms = tuple(forms)
-        self.blocks: Blocks = row_blocks(path.s)
+        self.blocks = Blocks(path.s)
         order = self.blocks.order
         self.kinds: list[LackOfFit] = lack_of_fit_components(path, noise, self.blocks)
         self.layout = Layout.of(self.forms)

@@ -138,7 +138,7 @@ class LocalSearch:
             best = int(np.argmax(weight))
             weightings.append((float(weight[best]), int(sums.kind[best]), float(sums.scale[best]), share))
         _, kind, scale, share = max(weightings, key=lambda each: each[0])
-        return Weighting.from_component(self.system, kind, scale, share * full_deviations)
+        return Weighting(self.system, kind, scale, share * full_deviations)
 
     def fitted(self) -> Fitted:
         """Return the current hypothesis, fitted and re-simulated."""

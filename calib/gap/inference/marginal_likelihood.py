@@ -1,7 +1,6 @@
 """Marginal likelihood of Gaussian hypotheses: sets of forms, weighed by scalar products alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -29,23 +28,21 @@ _LEAST_PIVOT: Final = 1e-12
 _NEGLIGIBLE: Final = 60.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Nuisance:
-    """What is not judged: a recalibration, and deviations of known effects."""
+    """What is not judged: a recalibration, and deviations of known effects.
 
-    columns: FloatArray  #: shape (n_rows, k): whitened, to unit prior variance
-    factor: FloatArray  #: shape (k, k): inverse Cholesky factor of I + X^T X
-    log_det: float  #: log |I + X X^T|
+    `columns`: (n_rows, k), whitened, to unit prior variance.
+    """
 
-    @staticmethod
-    def of(columns: FloatArray) -> "Nuisance":
-        """Make it of whitened columns (n_rows, k) to unit prior variance."""
+    def __init__(self, columns: FloatArray) -> None:
+        self.columns = columns
         gram = np.eye(columns.shape[1]) + columns.T @ columns
         # on a unit diagonal columns alike stay factorable
         root = np.sqrt(np.diag(gram))
         lower = np.linalg.cholesky(gram / np.outer(root, root) + 1e-11 * np.eye(len(gram)))
-        inverse = np.linalg.solve(lower, np.diag(1.0 / root))
-        return Nuisance(columns, inverse, float(2 * (np.log(np.diag(lower)) + np.log(root)).sum()))
+        #: shape (k, k): inverse Cholesky factor of I + X^T X; log |I + X X^T|
+        self.factor = np.linalg.solve(lower, np.diag(1.0 / root))
+        self.log_det = float(2 * (np.log(np.diag(lower)) + np.log(root)).sum())
 
     def scalar(self, left: FloatArray, right: FloatArray) -> FloatArray:
         """Return left^T (I + X X^T)^-1 right of columns (n_rows, p) and (n_rows, q), (p, q)."""

@@ -28,13 +28,18 @@ WIDE_FORM: Final = 24
 _ROUNDING: Final = 1e-13
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """Where columns of forms stand: a wide one's last."""
+    """Where columns of forms stand: a wide one's last.
 
-    starts: IntArray  #: shape (n_forms,)
-    counts: IntArray  #: shape (n_forms,)
-    wide: int  #: number of the wide form; -1: none
+    `counts`: (n_forms,), of columns; `wide`: number of the wide form; -1: none.
+    """
+
+    def __init__(self, counts: IntArray, wide: int) -> None:
+        self.counts, self.wide = counts, wide
+        narrow = np.where(np.arange(len(counts)) == wide, 0, counts)
+        self.starts = np.cumsum(narrow) - narrow  #: shape (n_forms,)
+        if wide >= 0:
+            self.starts[wide] = narrow.sum()
 
     @staticmethod
     def of(forms: Sequence[Form]) -> "Layout":
@@ -43,16 +48,7 @@ class Layout:
         wide = int(np.argmax(counts)) if len(counts) and counts.max() > WIDE_FORM else -1
         if wide >= 0 and any(parameter.sign for parameter in forms[wide].parameters):
             wide = -1
-        return Layout.arranged(counts, wide)
-
-    @staticmethod
-    def arranged(counts: IntArray, wide: int) -> "Layout":
-        """Return where so many columns of each form stand."""
-        narrow = np.where(np.arange(len(counts)) == wide, 0, counts)
-        starts = np.cumsum(narrow) - narrow
-        if wide >= 0:
-            starts[wide] = narrow.sum()
-        return Layout(starts, counts, wide)
+        return Layout(counts, wide)
 
     @property
     def n_wide(self) -> int:

@@ -149,7 +149,7 @@ def held_gain(local: LocalSearch) -> float:
 
 def _columns(local: LocalSearch, model: Model, scale: int) -> FloatArray:
     system, sums = local.system, local.sums
-    weighting = Weighting.from_component(system, int(sums.kind[scale]), float(sums.scale[scale]), local.deviations)
+    weighting = Weighting(system, int(sums.kind[scale]), float(sums.scale[scale]), local.deviations)
     parts = [system.calibration, weighting.common]
     if model:
         (place,), (owner,) = local.columns.index([model])

@@ -127,7 +127,7 @@ class Signatures:
                 position += columns.shape[2]
                 trials.append(columns @ np.resize(np.array(_PROPORTIONS), columns.shape[2]))
             free = calibration[:, 3:] if effect.calibration else calibration
-            residual = project(Nuisance.of(free), whitened_rows(path, noise, np.stack(trials, axis=2)))
+            residual = project(Nuisance(free), whitened_rows(path, noise, np.stack(trials, axis=2)))
             truths.append(trials[int(np.argmax((residual**2).sum(axis=0)))])
         self.first_truth = position
         blocks.append(np.stack(truths, axis=2) if truths else np.zeros((len(path.s), 6, 0)))
@@ -258,7 +258,7 @@ def undetectable(
 
 class _Limits:
     def __init__(self, calibration: FloatArray, of_form: Callable[[Form], FloatArray]) -> None:
-        self.recalibration, self.front_radius = Nuisance.of(calibration), Nuisance.of(calibration[:, 3:])
+        self.recalibration, self.front_radius = Nuisance(calibration), Nuisance(calibration[:, 3:])
         self.of_form = of_form
 
     def of(self, effect: Effect, forms: Sequence[Form]) -> tuple[float, DetectionLimit]:

@@ -164,7 +164,7 @@ def _followed(
         slope = np.stack([start.derivative[name] for name in names], axis=2)
 
     def asked(table: FloatArray, slope: FloatArray) -> _Asked:
-        return _asked(diagnosis.noise, fitted.path, differences, left, table, slope, typical)
+        return _Asked(diagnosis.noise, fitted.path, differences, left, table, slope, typical)
 
     # none further off than is plausible: a simulator may fail there
     far = np.array([each.largest for each in named.values()])
@@ -206,43 +206,33 @@ def _without(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:
     return fitted.left + in_end_frame(path, (path.reading - without.reading)[:, :4])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class _Asked:
-    square: float  #: of the whitened gap
-    promised: float  #: of what the correction leaves, if linear
-    correction: FloatArray  #: shape (n_named,)
-    sd: FloatArray  #: of each deviation, shape (n_named,)
-    off: float  #: largest correction in standard uncertainties
-    converged: bool
-
-
-def _asked(
-    noise: Noise,
-    path: Path,
-    differences: Differences,
-    left: FloatArray,
-    table: FloatArray,
-    derivative: FloatArray,
-    typical: FloatArray,
-) -> _Asked:
-    rows = differences.rows(path.s)
-    gap = left - in_end_frame(path, difference(table, differences.nominal)[rows])
-    columns = [
-        in_end_frame(path, each * size) for each, size in zip(np.moveaxis(derivative[rows], 2, 0), typical, strict=True)
-    ]
-    whole = whitened_rows(path, noise, np.stack([*columns, gap], axis=2))
-    a, white = whole[:, :-1], whole[:, -1]
-    normal = a.T @ a + np.eye(len(typical)) / CORRECTION_SD**2
-    correction, square = np.linalg.solve(normal, a.T @ white), float(white @ white)
-    off = float(np.abs(correction * np.sqrt(np.diag(normal))).max())
-    return _Asked(
-        square,
-        square - float(correction @ (a.T @ white)),
-        correction * typical,
-        np.sqrt(np.diag(np.linalg.inv(normal))) * typical,
-        off,
-        off < CONVERGED[0 if square > len(white) else 1 + (differences.repeats > 1)],
-    )
+    def __init__(
+        self,
+        noise: Noise,
+        path: Path,
+        differences: Differences,
+        left: FloatArray,
+        table: FloatArray,
+        derivative: FloatArray,
+        typical: FloatArray,
+    ) -> None:
+        rows = differences.rows(path.s)
+        gap = left - in_end_frame(path, difference(table, differences.nominal)[rows])
+        derivatives = zip(np.moveaxis(derivative[rows], 2, 0), typical, strict=True)
+        columns = [in_end_frame(path, each * size) for each, size in derivatives]
+        whole = whitened_rows(path, noise, np.stack([*columns, gap], axis=2))
+        a, white = whole[:, :-1], whole[:, -1]
+        normal = a.T @ a + np.eye(len(typical)) / CORRECTION_SD**2
+        correction = np.linalg.solve(normal, a.T @ white)
+        #: of the whitened gap; of what the correction leaves, if linear
+        self.square = float(white @ white)
+        self.promised = self.square - float(correction @ (a.T @ white))
+        #: shape (n_named,): correction of each deviation, and its standard uncertainty
+        self.correction, self.sd = correction * typical, np.sqrt(np.diag(np.linalg.inv(normal))) * typical
+        #: largest correction in standard uncertainties
+        self.off = float(np.abs(correction * np.sqrt(np.diag(normal))).max())
+        self.converged = self.off < CONVERGED[0 if self.square > len(white) else 1 + (differences.repeats > 1)]
 
 
 def _run(differences: Differences, named: Mapping[str, Declared], deviation: FloatArray) -> FloatArray:

@@ -35,7 +35,7 @@ def test_a_square_is_that_of_the_whole_covariance(kind: int) -> None:
     system, rng = _system(), np.random.default_rng(5)
     number = kind if kind != -2 else next(k for k, one in enumerate(system.kinds) if one.common is not None)
     deviations, y = 0.3 * rng.standard_normal((len(system.gap), 2)), rng.standard_normal(len(system.gap))
-    weighting = Weighting.from_component(system, number, 3.0, deviations)
+    weighting = Weighting(system, number, 3.0, deviations)
     covariance = np.eye(len(y)) + weighting.common @ weighting.common.T
     for rows_b in system.blocks.slices():
         covariance[rows_b, rows_b] += deviations[rows_b] @ deviations[rows_b].T

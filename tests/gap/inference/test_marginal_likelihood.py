@@ -43,7 +43,7 @@ def test_a_nuisance_is_the_dense_normal_of_its_columns(seed: int, n: int, k: int
     """Square and determinant of I + X X^T give the density that scipy gives of the dense covariance."""
     rng = np.random.default_rng(seed)
     x, y = rng.normal(0, size, (n, k)), rng.normal(0, 1, (n, 2))
-    made = Nuisance.of(x)
+    made = Nuisance(x)
     inverse = np.linalg.inv(np.eye(n) + x @ x.T)
     # the broadest columns cancel a factor of a thousand in the scalar product
     np.testing.assert_allclose(made.scalar(y, y), y.T @ inverse @ y, rtol=1e-6, atol=1e-8)
@@ -57,7 +57,7 @@ def test_a_floor_known_up_to_a_factor_gives_the_odds_of_students_t() -> None:
     y = rng.normal(0, 1.7, 30)
     made, expected = [], []
     for columns in (rng.normal(0, 1, (30, 2)), np.zeros((30, 1))):
-        nuisance = Nuisance.of(columns)
+        nuisance = Nuisance(columns)
         made.append(log_marginal(nuisance.scalar(y[:, None], y[:, None])[0, 0], nuisance.log_det, len(y)))
         expected.append(multivariate_t.logpdf(y, shape=np.eye(30) + columns @ columns.T, df=FLOOR_DOF))
     assert made[0] - made[1] == pytest.approx(expected[0] - expected[1], rel=RTOL)
@@ -67,7 +67,7 @@ def test_a_floor_too_small_gives_no_odds() -> None:
     """Noise three times as large favours columns that it does not follow far less than a known level would."""
     rng = np.random.default_rng(12)
     y, columns = 3.0 * rng.normal(0, 1, 300), 0.3 * rng.normal(0, 1, (300, 40))
-    nuisance = Nuisance.of(columns)
+    nuisance = Nuisance(columns)
     square = nuisance.scalar(y[:, None], y[:, None])[0, 0]
     known = -0.5 * (square + nuisance.log_det) + 0.5 * y @ y
     assert known > 0.0 > log_marginal(square, nuisance.log_det, 300) - log_marginal(y @ y, 0.0, 300)
@@ -77,8 +77,8 @@ def test_columns_exactly_alike_and_of_very_different_size_stay_factorable() -> N
     """Twice the same column is one of twice the variance; sizes twelve orders apart do not matter."""
     rng = np.random.default_rng(7)
     x, y = rng.normal(0, 1, (30, 1)), rng.normal(0, 1, (30, 1))
-    twice = Nuisance.of(np.concatenate([1e3 * x, 1e3 * x, 1e-9 * rng.normal(0, 1, (30, 1))], axis=1))
-    once = Nuisance.of(np.sqrt(2) * 1e3 * x)
+    twice = Nuisance(np.concatenate([1e3 * x, 1e3 * x, 1e-9 * rng.normal(0, 1, (30, 1))], axis=1))
+    once = Nuisance(np.sqrt(2) * 1e3 * x)
     # the unit diagonal is lifted by 1e-11; columns of 6e7 times the noise's variance make 3e-4 of it in the logarithm
     np.testing.assert_allclose(twice.scalar(y, y), once.scalar(y, y), rtol=1e-3)
     assert twice.log_det == pytest.approx(once.log_det, abs=1e-3)
@@ -88,7 +88,7 @@ def test_a_broad_nuisance_leaves_what_least_squares_leave() -> None:
     """`project` on broad columns is the residual of ordinary least squares, and its products are `scalar`'s."""
     rng = np.random.default_rng(8)
     x, a = rng.normal(0, 1, (30, 3)), rng.normal(0, 1, (30, 2))
-    broad = Nuisance.of(1e3 * x)
+    broad = Nuisance(1e3 * x)
     left = project(broad, a)
     residual = a - x @ np.linalg.lstsq(x, a, rcond=None)[0]
     # columns a thousand times the noise take all but a millionth
@@ -189,7 +189,7 @@ def test_a_hypothesis_of_many_columns_is_weighed_as_one_of_few() -> None:
     """
     rng = np.random.default_rng(4)
     counts = np.array([1, 100, 3])
-    apart, together = Layout.arranged(counts, 1), Layout.arranged(counts, -1)
+    apart, together = Layout(counts, 1), Layout(counts, -1)
     rows = rng.normal(0, 1, (4, 300, 104))
     # in the order in which they stand where the wide one is last
     rows[:, :, 11] = rows[:, :, 12]
@@ -242,7 +242,7 @@ def test_sizes_of_a_wide_form_stand_in_the_order_of_the_model() -> None:
     zero = np.zeros(2)
     of_wide = WideSums(lambda n: (gram[n, 2:, 2:], np.c_[gram[n, 2:, :2], right[n, 2:]]), np.arange(2))
     sums = Sums(gram[:, :2, :2], right[:, :2], zero, zero, zero, zero.astype(int), zero, 200, of_wide)
-    layout = Layout.arranged(np.array([30, 2]), 0)
+    layout = Layout(np.array([30, 2]), 0)
     alike = np.full(32, 5.0), np.zeros(32, dtype=int), np.ones(32)
     priors = FormPriors((), layout, *alike, np.zeros(2), np.zeros(3), np.zeros(2))
     wanted = sum(share * np.linalg.solve(gram[n] + 1e-2 * np.eye(32), right[n]) for n, share in enumerate((0.25, 0.75)))

@@ -39,7 +39,7 @@ def contribution(system: WhitenedSystem, form: Form, times: float = 2.0) -> np.n
 
 def front(system: WhitenedSystem) -> Nuisance:
     """Only the front radius is free."""
-    return Nuisance.of(system.calibration[:, 3:])
+    return Nuisance(system.calibration[:, 3:])
 
 
 @pytest.mark.parametrize("side", [0, 1])
@@ -59,7 +59,7 @@ def test_a_constant_share_of_lost_counts_is_that_wheels_radius(
 
 def test_the_scale_and_the_angle_of_a_laser_are_alike(system: WhitenedSystem, forms: dict[str, list[Form]]) -> None:
     """A beam at an angle reads a share too much, as a wrong scale does."""
-    nuisance = Nuisance.of(system.calibration)
+    nuisance = Nuisance(system.calibration)
     beam = contribution(system, forms["beam_misalignment"][0])
     assert distance(system, nuisance, beam, forms["rangefinder_scale"][0]) < ZERO_SD
     offered = aliases_of(system, nuisance, beam, forms, ("beam_misalignment",))
@@ -96,7 +96,7 @@ def test_one_load_in_each_session_confounds_load_and_session() -> None:
         whitened = WhitenedSystem(nominal, nominal, noise_at(nominal, {}))
         forms = {effect.id: effect.forms(s) for effect in library(s)}
         load = whitened.columns(forms["load_radius"][0]).sum(axis=1) * 2.0
-        nuisance = Nuisance.of(whitened.calibration)
+        nuisance = Nuisance(whitened.calibration)
         return min(distance(whitened, nuisance, load, form) for form in forms["session_step"])
 
     assert apart(crossed=False) < ZERO_SD * 4
