@@ -252,16 +252,6 @@ def unwrap(counts: FloatArray, offsets: IntArray, bits: int) -> tuple[FloatArray
     return counts + full * (total - start), wraps.astype(np.int64)
 
 
-def rewrap_total(total: FloatArray, expected: FloatArray, bits: int, tolerance: FloatArray) -> FloatArray:
-    """Return how many full counters to add to `total` to meet `expected` within `tolerance`; 0 where none fits.
-
-    All of shape (n_runs,).
-    """
-    full = 2.0**bits
-    turns = np.rint((expected - total) / full)
-    return np.where((np.abs(total + turns * full - expected) <= tolerance) & np.isfinite(turns), turns, 0.0)
-
-
 def _steps(counts: FloatArray, offsets: IntArray) -> FloatArray:
     step = np.diff(counts, prepend=counts[:1])
     starts = offsets[:-1]

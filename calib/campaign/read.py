@@ -4,14 +4,14 @@ What follows: counts and distances of the logs, loads of the payload, turns by a
 """
 
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from calib.campaign.log_reading import read_logs
-from calib.campaign.logs import log_files, rewrap_total
+from calib.campaign.logs import log_files
 from calib.campaign.model import REFERENCE_POSE, SIMULATED_POSE, Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, is_bag_folder, read_table
 from calib.campaign.settings import WHEEL_LOADS
@@ -150,11 +150,11 @@ def _unwrapped(campaign: Campaign, name: str, shown: str, border: Border) -> Flo
     driven = runs.number("distance_m") / (2 * np.pi * campaign.vehicle.wheel_radius_m) * encoder.per_rev(name)
     for bits in (encoder.wrap_bits,) if encoder.wrap_bits else (16, 32):
         full = 2.0**bits
-        turns = rewrap_total(total, logged, bits, np.full(len(runs), _SAME_COUNTS))
-        if encoder.wrap_bits:
-            by_distance = rewrap_total(total, driven, bits, np.minimum(0.05 * np.abs(driven), full / 4))
-            turns = np.where(np.isnan(logged), by_distance, turns)
-        turns = np.where(np.abs(total) < full, turns, 0.0)
+        by_distance = np.isnan(logged) & bool(encoder.wrap_bits)
+        turns = np.rint((np.where(by_distance, driven, logged) - total) / full)
+        off = np.abs(total + turns * full - np.where(by_distance, driven, logged))
+        most = np.where(by_distance, np.minimum(0.05 * np.abs(driven), full / 4), _SAME_COUNTS)
+        turns = np.where(np.isfinite(turns) & (off <= most) & (np.abs(total) < full), turns, 0.0)
         whole = total + turns * full
         for run in np.flatnonzero(turns):
             text = f"""{total[run]:.0f} is the remainder of {abs(turns[run]):.0f} overflow(s) of a {bits}-bit counter;
@@ -178,21 +178,6 @@ def _sample(logs: Logs, name: str, at: IntArray) -> FloatArray:
     return values
 
 
-@dataclass(frozen=True, slots=True)
-class Bias:
-    """What a gyro reads at rest."""
-
-    radps: float
-    #: of one sample, and samples at rest
-    sample_std_radps: float
-    samples: int
-
-    @property
-    def std_radps(self) -> float:
-        """Standard uncertainty of the bias."""
-        return self.sample_std_radps / float(np.sqrt(max(self.samples, 1)))
-
-
 def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
     """Return the campaign with turns by a gyro, and end poses of closed loops, in its run table."""
     if GYRO in campaign.logs.columns:
@@ -205,9 +190,9 @@ def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
 def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
     runs, logs = campaign.runs, campaign.logs
     turn, sigma = runs.number(GYRO_TURN).copy(), runs.number(GYRO_SIGMA).copy()
-    own = {run: bias_of(campaign, run) for run in np.flatnonzero(logs.present).tolist()}
-    known = {run: bias for run, bias in own.items() if bias is not None}
-    measured = [run for run in own if np.isfinite(logs.of(run).get(GYRO, np.nan)).all()]
+    present = np.flatnonzero(logs.present).tolist()
+    known = {run: rates for run in present if len(rates := rates_at_rest(campaign, run))}
+    measured = [run for run in present if np.isfinite(logs.of(run).get(GYRO, np.nan)).all()]
     without = len(measured) - len(known.keys() & set(measured))
     if measured and not known:
         text = f"""found no standstill of {STANDSTILL_S:g} s in any log, so that the gyro's bias is unknown and the gyro
@@ -216,14 +201,12 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
         return campaign
     sessions = runs.label("session")
     # a bias wanders from run to run: its scatter counts where a run has no standstill of its own
-    wander = float(np.std([bias.radps for bias in known.values()], ddof=1)) if len(known) > 1 else 0.0
+    wander = float(np.std([rates.mean() for rates in known.values()], ddof=1)) if len(known) > 1 else 0.0
     for run in measured:
-        bias, more = known.get(run), 0.0
-        if bias is None:
-            alike = [one for other, one in known.items() if sessions[other] == sessions[run]] or list(known.values())
-            bias, more = replace(alike[0], radps=float(np.mean([one.radps for one in alike]))), wander
+        alike = [one for other, one in known.items() if sessions[other] == sessions[run]] or list(known.values())
+        rests, more = ([known[run]], 0.0) if run in known else (alike, wander)
         if np.isnan(turn[run]):
-            turn[run], sigma[run] = _turn(logs.of(run), bias, more)
+            turn[run], sigma[run] = _turn(logs.of(run), rests, more)
     text = f"{len(measured)} run(s) integrated from the log's {GYRO}, less the bias at rest"
     if without:
         text += f"; {without} without a standstill of their own, less that of their session"
@@ -231,13 +214,13 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
     return replace(campaign, runs=replace(runs, numbers={**runs.numbers, GYRO_TURN: turn, GYRO_SIGMA: sigma}))
 
 
-def bias_of(campaign: Campaign, run: int) -> Bias | None:
-    """Return what a run's gyro reads while no wheel counts; None without a standstill of `STANDSTILL_S`."""
+def rates_at_rest(campaign: Campaign, run: int) -> FloatArray:
+    """Return what a run's gyro reads while no wheel counts, shape (n,), none without a standstill of `STANDSTILL_S`."""
     log = campaign.logs.of(run)
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
     wheels = [log[name] for name in WHEEL_COLUMNS[source] if name in log]
     if GYRO not in log or not wheels:
-        return None
+        return np.zeros(0)
     t_s, rate = log["t_s"], log[GYRO]
     moves = np.any([np.diff(wheel) != 0.0 for wheel in wheels], axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate(([True], moves, [True]))))
@@ -247,14 +230,15 @@ def bias_of(campaign: Campaign, run: int) -> Bias | None:
         if end - begin >= STANDSTILL_S:
             at_rest |= (t_s >= begin) & (t_s <= end)
     values = rate[at_rest & np.isfinite(rate)]
-    return Bias(float(values.mean()), float(values.std(ddof=1)), len(values)) if len(values) >= 3 else None
+    return values if len(values) >= 3 else values[:0]
 
 
-def _turn(log: dict[str, FloatArray], bias: Bias, more_radps: float) -> tuple[float, float]:
-    t_s, rate = log["t_s"], log[GYRO] - bias.radps
-    duration = t_s[-1] - t_s[0]
-    noise = bias.sample_std_radps * np.linalg.norm(np.diff(t_s))
-    return float(np.trapezoid(rate, t_s)), float(np.hypot(noise, np.hypot(bias.std_radps, more_radps) * duration))
+def _turn(log: dict[str, FloatArray], rests: list[FloatArray], more_radps: float) -> tuple[float, float]:
+    t_s, sample_std_radps = log["t_s"], rests[0].std(ddof=1)
+    rate = log[GYRO] - np.mean([rates.mean() for rates in rests])
+    off_radps = np.hypot(sample_std_radps / np.sqrt(len(rests[0])), more_radps)
+    noise = sample_std_radps * np.linalg.norm(np.diff(t_s))
+    return float(np.trapezoid(rate, t_s)), float(np.hypot(noise, off_radps * (t_s[-1] - t_s[0])))
 
 
 def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campaign:

@@ -140,7 +140,7 @@ class _Sections:
 
     def checked(self, section: str, values: Mapping[str, Any] | None = None) -> Any:
         try:
-            return _adapter(section).validate_python(self.keys(section) if values is None else values)
+            return _adapter(_SECTIONS[section]).validate_python(self.keys(section) if values is None else values)
         except ValidationError as error:
             table, known = self.document.get(section, {}), _known(section)
             names = {recognise(key, known, further=False).name: key for key in table}
@@ -150,9 +150,8 @@ class _Sections:
         self.notes.append(Note(level, f"{self.shown}, {column}", text, code))
 
 
-@lru_cache
-def _adapter(section: str) -> TypeAdapter[Any]:
-    return TypeAdapter(_SECTIONS[section])
+#: of a section's class, made when first asked for
+_adapter: Final = lru_cache(TypeAdapter)
 
 
 def _known(section: str) -> tuple[str, ...]:

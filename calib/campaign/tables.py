@@ -4,7 +4,7 @@ import itertools
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from decimal import Decimal
 from pathlib import Path
@@ -20,7 +20,7 @@ from calib.campaign.settings import Recognised, converted, look_alike, recognise
 from calib.campaign.settings_file import to_toml, written_settings
 from calib.errors import LABEL_CHARACTERS, RUNS, BadFileError, BadInputError, refuse_beyond
 from calib.io import write_folder
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, grouped
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 #: no run agrees by chance with a statistic of others in all numbers that vary, so many spreads wide
@@ -79,20 +79,19 @@ def _sessions(session: StrArray, shown: str, border: Border) -> StrArray:
     if 2 < len(set(labels)) == len(labels):
         text = "each run is a session of its own, so that no session shows its scatter; name days or halls"
         border.say(where, text, "session_spelling", level="suspicious")
-    plain: dict[str, str] = {}
-    written: dict[str, set[str]] = {}
-    for label in dict.fromkeys(labels):
-        key = unicodedata.normalize("NFKC", label).strip().casefold()
-        with suppress(ValueError):
-            key = _plain(float(key))
-        plain.setdefault(key, label)
-        written.setdefault(key, set()).add(label)
-    double = {label: plain[key] for key, labels in written.items() if len(labels) > 1 for label in labels}
-    if double:
-        names = "; ".join(sorted(" and ".join(sorted(labels)) for labels in written.values() if len(labels) > 1))
+    meant = grouped((_session_meant(label), label) for label in dict.fromkeys(labels))
+    if several := [alike for alike in meant.values() if len(alike) > 1]:
+        names = "; ".join(sorted(" and ".join(sorted(alike)) for alike in several))
         text = f"found {names[:200]}, spelled differently and taken as one session; spell each session in one way"
         border.say(where, text, "session_spelling", level="suspicious")
-    return np.asarray([double.get(label, label) for label in labels], dtype=np.str_)
+    return np.asarray([meant[_session_meant(label)][0] for label in labels], dtype=np.str_)
+
+
+def _session_meant(label: str) -> str:
+    plain = unicodedata.normalize("NFKC", label).strip().casefold()
+    with suppress(ValueError):
+        return _plain(float(plain))
+    return plain
 
 
 def _summaries(labels: Mapping[str, StrArray], columns: Mapping[str, FloatArray], used: BoolArray) -> dict[int, str]:
@@ -203,20 +202,20 @@ def _flags(cells: npt.NDArray[Any], shown: str, line: IntArray) -> BoolArray:
     return np.isin(texts, _TRUE)
 
 
-def _check_run_ids(run_ids: Sequence[str] | StrArray, line: IntArray, shown: str, border: Border) -> None:
-    first: dict[str, int] = {}
-    for run_id, row in zip(map(str, run_ids), map(int, line), strict=True):
+def _check_run_ids(run_ids: StrArray, line: IntArray, shown: str, border: Border) -> None:
+    names, first, which = np.unique(run_ids, return_index=True, return_inverse=True)
+    for at in np.flatnonzero((run_ids == "") | (first[which] < np.arange(len(run_ids)))):
+        run_id, row = str(run_ids[at]), int(line[at])
         if not run_id:
             remedy = "name the run, or remove the row where it sums up others"
             raise BadFileError(shown, "an empty cell", "a name of the run", remedy, row=row, column="run_id")
-        if run_id in first:
-            twice = f"{run_id!r}, as in row {first[run_id]}"
-            remedy = "rename one run, or remove the row that was pasted twice"
-            if 2 * len({*map(str, run_ids)}) <= len(run_ids):
-                remedy = "give what stands in several rows of a run columns of their own"
-            fault = BadFileError(shown, twice, "each run once", remedy, row=row, column="run_id")
-            border.fault(fault, "duplicate_run", run_id)
-        first.setdefault(run_id, row)
+        twice = f"{run_id!r}, as in row {line[first[which[at]]]}"
+        remedy = "rename one run, or remove the row that was pasted twice"
+        if 2 * len(names) <= len(run_ids):
+            remedy = "give what stands in several rows of a run columns of their own"
+        border.fault(
+            BadFileError(shown, twice, "each run once", remedy, row=row, column="run_id"), "duplicate_run", run_id
+        )
 
 
 #: parts of a campaign folder; ``ingest`` adds its record and the recordings it cut

@@ -223,7 +223,12 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
     and track it computed its speeds; `border` takes what was done.
     """
     columns = dict(logs.columns)
-    for name, speed_mps in _wheel_speeds(columns, vehicle):
+    sides = [side for side in ("left", "right", "rear") if f"speed_{side}_mps" in columns]
+    wheels = [(f"counts_{side}", columns[f"speed_{side}_mps"]) for side in sides]
+    if {"v_mps", "omega_radps"} <= columns.keys():
+        half = 0.5 * vehicle.track_m * columns["omega_radps"]
+        wheels = [("counts_left", columns["v_mps"] - half), ("counts_right", columns["v_mps"] + half), *wheels]
+    for name, speed_mps in wheels:
         way_m = _integral(speed_mps, columns["t_s"], logs)
         counts = way_m * (encoder.per_rev(name) / (2.0 * np.pi * vehicle.wheel_radius_m))
         logged = columns.get(name)
@@ -231,15 +236,6 @@ def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) 
         border.say("logs", f"{name} integrated from speeds, by the nominal radius", "speeds")
     kept = {name: column for name, column in columns.items() if name not in SPEEDS}
     return Logs(logs.offsets, kept, tuple(name for name in SPEEDS if name in columns))
-
-
-def _wheel_speeds(columns: dict[str, FloatArray], vehicle: Vehicle) -> list[tuple[str, FloatArray]]:
-    wheels: list[tuple[str, FloatArray]] = []
-    if {"v_mps", "omega_radps"} <= columns.keys():
-        half = 0.5 * vehicle.track_m * columns["omega_radps"]
-        wheels += [("counts_left", columns["v_mps"] - half), ("counts_right", columns["v_mps"] + half)]
-    sides = [side for side in ("left", "right", "rear") if f"speed_{side}_mps" in columns]
-    return wheels + [(f"counts_{side}", columns[f"speed_{side}_mps"]) for side in sides]
 
 
 def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 from calib.radius.effective import SystematicSource, gradient
 from calib.radius.law import LineEstimate
 from calib.radius.regression import SAME_LOAD
-from calib.radius.sessions import MIN_DOF, WIDENED_BELOW, Strata, line_of_strata, rho_at
+from calib.radius.sessions import MIN_DOF, WIDENED_BELOW, line_of_strata, rho_at
 from calib.types import FloatArray, StrArray
 
 WHEELS: Final = ("left", "right")
@@ -320,8 +320,8 @@ def line_from_sums(sums: WheelSums) -> LineEstimate | None:
     if not info + float(np.ptp(x_mean)) ** 2 > ROUNDING * max(float(xx.sum()), 1.0):
         return None
     slope = cross / info if info > 0 else 0.0
-    strata = Strata(sizes, x_mean, y_mean, info, slope, square, max(square - slope * cross, 0.0))
-    return line_of_strata(strata) or _plain(sums)
+    squares = square, max(square - slope * cross, 0.0)
+    return line_of_strata(sizes, x_mean, y_mean, info, slope, *squares) or _plain(sums)
 
 
 def _plain(sums: WheelSums) -> LineEstimate | None:

@@ -42,17 +42,14 @@ class _Residuals:
     session: StrArray
     direction: StrArray
     run_id: StrArray
-    #: indicator columns of the sessions; a constant where there is one session or one run a session
-    sessions: FloatArray
 
 
 def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: StrArray) -> WheelFit:
     """Return `fit` with its checks; the labels are those of its runs, shape (n_runs,)."""
     groups, n = groups_of(session), len(fit.load_N)
     residual = groups.within(fit.residual_m) if 2 <= len(groups) < n else fit.residual_m - fit.residual_m.mean()
-    sessions = groups.indicators
-    dof = float(n - sessions.shape[1] - (fit.model == "line" and fit.design != "confounded"))
-    runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, session, direction, run_id, sessions)
+    dof = float(n - groups.indicators.shape[1] - (fit.model == "line" and fit.design != "confounded"))
+    runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, session, direction, run_id)
     checks = [_design(fit, groups), _session(fit, groups), _order(fit, session)]
     if fit.model == "line":
         checks += [_range(fit), _lack_of_fit(runs), _curvature(runs), _equal_scatter(runs)]
@@ -100,7 +97,7 @@ def _with_other_load(runs: _Residuals, *, several: bool) -> str:
     cells = runs.groups.index * n + load_groups(fit.load_N)
     alone = np.arange(n) == np.argmax(np.abs(runs.residual_m))
     members = np.column_stack([alone, *(cells == cell for cell in np.unique(cells)[:MAX_CELLS])])
-    line = np.column_stack((runs.x, runs.sessions))
+    line = np.column_stack((runs.x, runs.groups.indicators))
     basis = fit.fitted(runs.session)
     own, residual = (part - basis @ (basis.T @ part) for part in (members, fit.residual_m))
     norm = np.maximum(np.sum(own**2, axis=0), 1e-9)

@@ -4,11 +4,12 @@ The rangefinder sees S_O along the corridor. A path longer by the share e makes 
 relative error is 1 / (1 + e) - 1.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import ArrayLike
 
 from calib.campaign.model import Campaign
@@ -69,12 +70,6 @@ def radius_error(excess: ArrayLike) -> FloatArray:
     return np.asarray(-e / (1 + e))
 
 
-def excess_of_radius_error(error: ArrayLike) -> FloatArray:
-    """Return the excess that makes a radius wrong by ``-error`` (relative, positive); inverse of `radius_error`."""
-    e = floats(error)
-    return np.asarray(e / (1 - e))
-
-
 def allowed_amplitude_on_run_m(
     tolerance: ArrayLike, wavelength_m: ArrayLike, distance_m: ArrayLike, track_m: float, *, phase_rad: ArrayLike = 0.0
 ) -> FloatArray:
@@ -97,7 +92,9 @@ def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatA
 
     `tolerance`: largest relative error of the radius, between 0 and 1.
     """
-    wavelength, target = np.broadcast_arrays(wavelength_m, excess_of_radius_error(tolerance))
+    error = floats(tolerance)
+    # the inverse of `radius_error`
+    wavelength, target = np.broadcast_arrays(wavelength_m, error / (1 - error))
     # the excess is at least that of the straight lines between the turning points, and of small amplitudes near 0
     bracket = wavelength / (2 * np.pi) * (4 * np.sqrt(target) + np.pi * target)
     return _largest(lambda amplitude_m: whole_period_excess(amplitude_m, wavelength), target, bracket)
@@ -205,37 +202,20 @@ UNKNOWN: Final = "unknown"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunDeviations:
-    """Effect of each run's path on its radii; arrays of shape (n_runs,), NaN where unknown."""
+    """Effect of each run's path on its radii."""
 
     #: relative error of a radius
     tolerance: float
-    #: run; where its path is known from (`calib.radius.path_length.RunPaths`); ``within``, ``beyond`` or ``unknown``
-    run_id: StrArray
-    source: StrArray
-    verdict: StrArray
-    distance_m: FloatArray
-    amplitude_m: FloatArray
-    wavelength_m: FloatArray
-    #: relative excess of each path over S_O
-    excess_centre: FloatArray
-    excess_left: FloatArray
-    excess_right: FloatArray
-    #: excess of the weave alone by the small-amplitude form
-    small_amplitude: FloatArray
-    #: relative error of the radii if the path were not corrected
-    error_left: FloatArray
-    error_right: FloatArray
-    #: the same in m on the nominal radius
-    error_left_m: FloatArray
-    error_right_m: FloatArray
-    #: largest amplitude that keeps both radii within tolerance on that run
-    allowed_amplitude_m: FloatArray
-    #: turn, and relative excess of the path, if the vehicle were steered by its own odometry with the model's radii
-    arc_turn_rad: FloatArray
-    arc_excess: FloatArray
+    #: what is known of each run, by its name; see `judge_runs`; shape (n_runs,), NaN where unknown
+    columns: Mapping[str, npt.NDArray[Any]]
     #: not judged
     left_out: tuple[UnusedRun, ...]
     notes: tuple[str, ...]
+
+    @property
+    def verdict(self) -> StrArray:
+        """``within``, ``beyond`` or ``unknown``, shape (n_runs,)."""
+        return self.columns["verdict"]
 
     @property
     def passed(self) -> bool:
@@ -245,29 +225,28 @@ class RunDeviations:
     @property
     def summary(self) -> str:
         """How many runs keep the tolerance, and what to do about the others."""
-        n, share = len(self.run_id), f"{100 * self.tolerance:g} %"
+        n, share = len(self.verdict), f"{100 * self.tolerance:g} %"
         beyond, unknown = int((self.verdict == BEYOND).sum()), int((self.verdict == UNKNOWN).sum())
         text = f"{n - beyond - unknown} of {n} runs keep both radii within {share} of what a straight path would give"
         if beyond:
             text += f"; {beyond} do not: 'calib fit' corrects what logs tell, but repeat them nearer to the line"
         if unknown:
             open_, remedy = self.verdict == UNKNOWN, "add logs, or amplitude_m and wavelength_m"
-            if np.isfinite(self.error_left[open_]).any():
+            if np.isfinite(self.columns["error_left"][open_]).any():
                 remedy = "where on the weave they began and ended decides; add logs, or ref_theta_rad at the end"
-            elif (self.source[open_] != "none").any():
+            elif (self.columns["source"][open_] != "none").any():
                 remedy = "the wheels rolled as alike as steered by their own counts; measure ref_theta_rad at the end"
             text += f"; of {unknown} the path is not known well enough: {remedy}"
-        curved = float(np.max(np.abs(self.arc_turn_rad)))
+        curved, longer = (float(np.max(np.abs(self.columns[name]))) for name in ("arc_turn_rad", "arc_excess"))
         return (
             f"{text}. Steered by its own odometry with the model's radii the vehicle would have turned by up to "
-            f"{curved:.3f} rad, a path up to {100 * float(np.max(self.arc_excess)):.3f} % longer."
+            f"{curved:.3f} rad, a path up to {100 * longer:.3f} % longer."
         )
 
     def rows(self) -> list[Row]:
         """Return one mapping of plain values a run."""
-        names = [name for name in self.__dataclass_fields__ if name not in {"tolerance", "left_out", "notes"}]
-        columns = [plain(getattr(self, name)) for name in names]
-        return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
+        rows = zip(*map(plain, self.columns.values()), strict=True)
+        return [dict(zip(self.columns, row, strict=True)) for row in rows]
 
 
 def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
@@ -310,25 +289,28 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     believed = model.radius_right_m / model.radius_left_m
     turn = arc_of_radii_rad(distance, 1.0, ratio / believed, vehicle.track_m)
     unknown_nan = np.where(known, 0.0, np.nan)
-    return RunDeviations(
-        tolerance=tolerance,
-        run_id=runs.run_id,
-        source=path.source,
-        verdict=np.select([known & within, known & (error > tolerance)], [PASSED, BEYOND], UNKNOWN),
-        distance_m=distance,
-        amplitude_m=path.amplitude_m,
-        wavelength_m=path.wavelength_m,
-        excess_centre=path.centre + unknown_nan,
-        excess_left=path.left + unknown_nan,
-        excess_right=path.right + unknown_nan,
-        small_amplitude=small,
-        error_left=left + unknown_nan,
-        error_right=right + unknown_nan,
-        error_left_m=left * vehicle.wheel_radius_m + unknown_nan,
-        error_right_m=right * vehicle.wheel_radius_m + unknown_nan,
-        allowed_amplitude_m=allowed,
-        arc_turn_rad=turn,
-        arc_excess=arc_excess(turn, distance, vehicle.track_m).centre,
-        left_out=left_out,
-        notes=path.notes,
-    )
+    columns = {
+        "run_id": runs.run_id,
+        # where its path is known from, see `calib.radius.path_length.RunPaths`
+        "source": path.source,
+        "verdict": np.select([known & within, known & (error > tolerance)], [PASSED, BEYOND], UNKNOWN),
+        "distance_m": distance,
+        "amplitude_m": path.amplitude_m,
+        "wavelength_m": path.wavelength_m,
+        # relative excess of each path over S_O, and that of the weave alone by the small-amplitude form
+        "excess_centre": path.centre + unknown_nan,
+        "excess_left": path.left + unknown_nan,
+        "excess_right": path.right + unknown_nan,
+        "small_amplitude": small,
+        # relative error of the radii if the path were not corrected, and the same in m on the nominal radius
+        "error_left": left + unknown_nan,
+        "error_right": right + unknown_nan,
+        "error_left_m": left * vehicle.wheel_radius_m + unknown_nan,
+        "error_right_m": right * vehicle.wheel_radius_m + unknown_nan,
+        # largest amplitude that keeps both radii within tolerance on that run
+        "allowed_amplitude_m": allowed,
+        # if the vehicle were steered by its own odometry with the model's radii
+        "arc_turn_rad": turn,
+        "arc_excess": arc_excess(turn, distance, vehicle.track_m).centre,
+    }
+    return RunDeviations(tolerance, columns, left_out, path.notes)

@@ -11,6 +11,7 @@ import numpy as np
 from calib.campaign.checks.design import turned_rad
 from calib.campaign.checks.measurements import off_line
 from calib.campaign.model import Campaign
+from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
 from calib.errors import BadFileError, RefusedError
 from calib.radius.path_length import correct_paths
@@ -165,27 +166,23 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     Raises RefusedError where no run can be used.
     """
     campaign, left_out, notes = usable_runs(campaign)
-    runs, track = campaign.runs, campaign.vehicle.track_m
-    encoder, sigma = campaign.encoder, campaign.rangefinder.sigma_m
+    runs, encoder, path = campaign.runs, campaign.encoder, correct_paths(campaign)
     distance = np.abs(runs.number("distance_m"))
-    path = correct_paths(campaign)
-    notes = [*notes, *path.notes]
-    wheels = {"left": (encoder.counts_per_rev_left, path.left), "right": (encoder.counts_per_rev_right, path.right)}
-    arrays: dict[str, FloatArray] = {}
-    parts: dict[str, dict[str, FloatArray]] = {}
-    for side, (per_rev, excess) in wheels.items():
-        counts = np.abs(runs.number(f"counts_{side}"))
-        radius = distance * (1 + excess) / (2 * np.pi * counts / per_rev)
-        off = radius * np.hypot(0.5 * track * path.yaw_std_rad / distance, path.centre_std)
-        parts[side] = {
-            "rangefinder": radius * sigma / distance,
-            "quantisation": radius * QUANTISATION_COUNTS / counts,
-            "path": np.where(path.source == "log", 0.0, off),
-            "weave": np.where(path.source == "log", off, 0.0),
-        }
-        std = np.sqrt(sum(part**2 for part in parts[side].values()))
-        arrays |= {f"load_{side}_N": runs.number(f"load_{side}_N"), f"radius_{side}_m": radius}
-        arrays |= {f"std_{side}_m": std, f"path_{side}": excess}
+    # of left and right wheel, shape (2, n_runs)
+    counts = np.abs([runs.number("counts_left"), runs.number("counts_right")])
+    per_rev = np.array([[encoder.counts_per_rev_left], [encoder.counts_per_rev_right]])
+    excess = np.stack((path.left, path.right))
+    radius = distance * (1 + excess) / (2 * np.pi * counts / per_rev)
+    off = radius * np.hypot(0.5 * campaign.vehicle.track_m * path.yaw_std_rad / distance, path.centre_std)
+    parts = {
+        "rangefinder": radius * campaign.rangefinder.sigma_m / distance,
+        "quantisation": radius * QUANTISATION_COUNTS / counts,
+        "path": np.where(path.source == "log", 0.0, off),
+        "weave": np.where(path.source == "log", off, 0.0),
+    }
+    std = np.sqrt(sum(part**2 for part in parts.values()))
+    both = {"radius_{}_m": radius, "std_{}_m": std, "path_{}": excess}
+    sides = {name.format(side): pair[at] for at, side in enumerate(("left", "right")) for name, pair in both.items()}
     return EffectiveRadii(
         run_id=runs.run_id,
         session=runs.label("session"),
@@ -194,17 +191,15 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         path_source=path.source,
         amplitude_m=path.amplitude_m,
         wavelength_m=path.wavelength_m,
-        budget=_budget(parts["left"], parts["right"], campaign),
+        budget=_budget(parts, campaign),
         left_out=left_out,
-        notes=tuple(notes),
-        **arrays,
+        notes=(*notes, *path.notes),
+        **{name: runs.number(name) for name in WHEEL_LOADS},
+        **sides,
     )
 
 
-def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign: Campaign) -> tuple[Component, ...]:
-    def typical(part: FloatArray) -> float:
-        return float(np.sqrt(np.mean(part**2)))
-
+def _budget(parts: Mapping[str, FloatArray], campaign: Campaign) -> tuple[Component, ...]:
     measured = np.isfinite(campaign.runs.number("ref_theta_rad")).any()
     end = "and heading at the end" if measured else "taken for straight"
     what = {
@@ -214,9 +209,9 @@ def _budget(left: dict[str, FloatArray], right: dict[str, FloatArray], campaign:
         "weave": ("normal", "the same by logs, where every run may be off alike"),
     }
     return tuple(
-        Component(name, "B", distribution, text, typical(left[name]), typical(right[name]))
+        Component(name, "B", distribution, text, *np.sqrt(np.mean(parts[name] ** 2, axis=1)).tolist())
         for name, (distribution, text) in what.items()
-        if name != "weave" or left[name].any()
+        if name != "weave" or parts[name].any()
     )
 
 

@@ -344,10 +344,9 @@ def _solve(design: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def _progress(heading: FloatArray) -> FloatArray:
-    along = np.cos(heading)
-    out = np.zeros_like(heading)
-    np.cumsum(0.5 * (along[:, 1:] + along[:, :-1]), axis=1, out=out[:, 1:])
-    return np.asarray(out / (heading.shape[1] - 1))
+    from scipy.integrate import cumulative_trapezoid
+
+    return np.asarray(cumulative_trapezoid(np.cos(heading), dx=1.0 / (heading.shape[1] - 1), axis=1, initial=0.0))
 
 
 def _best_periods(heading: FloatArray, most: FloatArray) -> FloatArray:

@@ -242,10 +242,9 @@ def read_result(path: Path) -> Fit:
     file = path / FIT_FILE if path.is_dir() else path
     try:
         value = json.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadFileError(file, found=str(error.strerror), expected="a fit", remedy=REMEDY) from error
-    except (ValueError, RecursionError) as error:
-        raise BadFileError(file, found=f"no JSON ({error})", expected="a fit", remedy=REMEDY) from error
+    except (OSError, ValueError, RecursionError) as error:
+        found = str(error.strerror) if isinstance(error, OSError) else f"no JSON ({error})"
+        raise BadFileError(file, found, "a fit", REMEDY) from error
     if not isinstance(value, dict) or value.get("format") != FORMAT:
         found = f"the format {value.get('format')!r}" if isinstance(value, dict) else f"a JSON {type(value).__name__}"
         raise BadFileError(file, found=found, expected="a fit", remedy=REMEDY)

@@ -84,37 +84,38 @@ def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
     return float(statistic), float(p_value)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Strata:
-    """Sufficient statistics: session means, and the regression within sessions."""
-
-    #: number of runs, mean load (minus the reference load) and mean radius of each session, shape (n_sessions,)
-    sizes: FloatArray
-    x_mean: FloatArray
-    y_mean: FloatArray
-    #: squares of the loads within sessions
-    info: float
-    #: of the regression within sessions; 0 where `info` is
-    slope: float
-    #: squares of the radii within sessions, and about that regression
-    square: float
-    residual_square: float
-
-
-def line_of_strata(strata: Strata) -> LineEstimate | None:
-    """Return the session-aware line of two sessions or more.
+def line_of_strata(
+    sizes: FloatArray,
+    x_mean: FloatArray,
+    y_mean: FloatArray,
+    info: float,
+    slope_within: float,
+    square: float,
+    residual_square: float,
+) -> LineEstimate | None:
+    """Return the session-aware line of two sessions or more, by session means and the regression within sessions.
 
     None where sessions cannot be told from runs (one run a session) or the session means leave no degree of freedom.
+
+    Parameters
+    ----------
+    sizes, x_mean, y_mean
+        Number of runs, mean load (minus the reference load) and mean radius of each session, shape (n_sessions,).
+    info
+        Squares of the loads within sessions.
+    slope_within
+        Of the regression within sessions; 0 where `info` is.
+    square, residual_square
+        Squares of the radii within sessions, and about that regression.
     """
-    sizes, x_mean, y_mean = strata.sizes, strata.x_mean, strata.y_mean
     n_sessions = len(sizes)
     weight = 1.0 / (WORKING_RATIO + 1.0 / sizes)
     centre = float(weight @ x_mean / weight.sum())
     centred = x_mean - centre
     info_between = float(weight @ centred**2)
-    if strata.info + info_between <= 0:
+    if info + info_between <= 0:
         return None
-    share = info_between / (strata.info + info_between)
+    share = info_between / (info + info_between)
     only_between = share >= 1 - NEGLIGIBLE_SHARE
     only_within = share < NEGLIGIBLE_SHARE or (n_sessions == 2 and not only_between)
     dof_within = float(sizes.sum()) - n_sessions - (0 if only_between else 1)
@@ -122,12 +123,12 @@ def line_of_strata(strata: Strata) -> LineEstimate | None:
     if dof_within < 1 or dof_between < 1:
         return None
 
-    weight_within = 1.0 if only_within else 0.0 if only_between else strata.info / (strata.info + info_between)
-    run_variance = (strata.square if only_between else strata.residual_square) / dof_within
+    weight_within = 1.0 if only_within else 0.0 if only_between else info / (info + info_between)
+    run_variance = (square if only_between else residual_square) / dof_within
     mean_radius = float(weight @ y_mean / weight.sum())
     # slope between sessions; within sessions alone the means only scatter about the slope from there
-    between = strata.slope if only_within else float(weight @ (centred * (y_mean - mean_radius))) / info_between
-    slope = weight_within * strata.slope + (1 - weight_within) * between if weight_within else between
+    between = slope_within if only_within else float(weight @ (centred * (y_mean - mean_radius))) / info_between
+    slope = weight_within * slope_within + (1 - weight_within) * between if weight_within else between
     departures = y_mean - mean_radius - between * centred
     between_square, scatter = _of_sessions(departures, sizes, dof_between, run_variance, dof_within)
     lever = np.array([[centre**2, -centre], [-centre, 1.0]])
@@ -137,7 +138,7 @@ def line_of_strata(strata: Strata) -> LineEstimate | None:
     return LineEstimate(
         design="crossed" if only_within else "confounded" if only_between else "mixed",
         coefficients=np.array([mean_radius - slope * centre, slope]),
-        cov_within=lever * (weight_within**2 * run_variance / strata.info if weight_within else 0.0),
+        cov_within=lever * (weight_within**2 * run_variance / info if weight_within else 0.0),
         cov_between=cov_between,
         **scatter,
     )
@@ -153,7 +154,7 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
     slope = float(x_within @ y_within) / info if info > 0 else 0.0
     residual = y_within - slope * x_within
     squares = float(y_within @ y_within), float(residual @ residual)
-    estimate = line_of_strata(Strata(groups.sizes, groups.means(x), groups.means(y), info, slope, *squares))
+    estimate = line_of_strata(groups.sizes, groups.means(x), groups.means(y), info, slope, *squares)
     if estimate is None or estimate.design == "confounded" or estimate.dof_within < HC3_MIN_DOF:
         return estimate
     if breusch_pagan(residual, x)[1] >= HC3_BELOW:

@@ -11,7 +11,6 @@ from calib.radius.deviation import (
     allowed_amplitude_on_run_m,
     arc_of_radii_rad,
     arc_row,
-    excess_of_radius_error,
     radius_error,
     weave_excess,
 )
@@ -69,7 +68,6 @@ def test_allowed_amplitude_on_a_run_uses_up_the_tolerance_of_the_worse_wheel(
 @given(st.floats(-0.5, 0.5))
 def test_error_of_a_radius_undoes_the_excess(excess: float) -> None:
     assert (1 + excess) * (1 + radius_error(excess)) == pytest.approx(1.0, rel=1e-12)  # rounding
-    assert excess_of_radius_error(-radius_error(excess)) == pytest.approx(excess, abs=1e-12)
 
 
 def test_arc_is_longer_than_its_chord_by_a_24th_of_the_turn_squared() -> None:

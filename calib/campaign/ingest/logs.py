@@ -235,7 +235,7 @@ def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[d
 def _to_counts(columns: dict[str, FloatArray], lines: Lines, settings: Campaign, shown: str, border: Border) -> None:
     for name in [name for name in columns if name.startswith("counts_") and name in lines]:
         unit, values = lines[name].wheel_unit, columns[name]
-        (kind, turns), counts = COUNT_UNITS[unit], counts_per_unit(name, unit, settings)
+        (kind, turns, _), counts = COUNT_UNITS[unit], counts_per_unit(name, unit, settings)
         if kind == "increments":
             columns[name] = np.cumsum(values)
         elif kind == "angle":

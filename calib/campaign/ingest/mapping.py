@@ -148,7 +148,7 @@ def counts_per_unit(name: str, unit: str, settings: Campaign) -> float:
 
     `unit`: of `COUNT_UNITS`; a length is what a wheel of the nominal radius rolls.
     """
-    kind, size = COUNT_UNITS[unit]
+    kind, size, _ = COUNT_UNITS[unit]
     if kind == "length":
         vehicle = settings.vehicle
         size /= 2.0 * math.pi * (vehicle.front_radius_m if name == "counts_front" else vehicle.wheel_radius_m)

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from itertools import takewhile
+from os.path import commonprefix
 from pathlib import Path
 from typing import Final
 
@@ -48,9 +48,7 @@ _MOMENTS: Final = (
 def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
     """Return the lines for the run table's columns, and remarks on the others; `numbered`: nameless runs may be."""
     lines = _place_lines(table)
-    own: list[str] = []
-    unused: list[str] = []
-    texts: list[str] = []
+    left: dict[str, list[str]] = {"recognised by their names": [], "kept as covariates": [], "not used": []}
     sessions = [column for column in table.columns if guessed_table_column(column.name) == "session"]
     dates = [column for column in sessions if stem_and_unit(column.name)[0] in {"datum", "date", "messdatum"}]
     # a date is the session where nothing else is
@@ -74,7 +72,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
             # `Strecke` is a distance, or the route
             name = "kind"
         if column in passed_over or name is None or name in named or not _may_be(name, column, table.n_rows):
-            (unused if column.kind == "number" else texts).append(column.name)
+            left["kept as covariates" if column.kind == "number" else "not used"].append(column.name)
             continue
         named |= {name, *(WHEEL_LOADS if name == _AXLE else ())}
         if name == _AXLE:
@@ -83,7 +81,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
         elif line := _column_line(column, name):
             lines.append(line)
         else:
-            own.append(column.name)
+            left["recognised by their names"].append(column.name)
     lines += _lookup_lines(table, named)
     if table.alike_sheets and not _sheets_of_sides(table):
         lines += _sheet_lines(table.alike_sheets, named)
@@ -92,7 +90,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
         lines.append(number if numbered else '#run_id = ""   # the column that names the runs')
     if "kind" not in named:
         lines.append('kind = {value = "corridor"}   # the route, where the table does not say')
-    for what, names in {"recognised by their names": own, "kept as covariates": unused, "not used": texts}.items():
+    for what, names in left.items():
         lines += [f"# {what}: {', '.join(names)[:110]}"] if names else []
     return lines
 
@@ -293,10 +291,6 @@ def name_pattern(stems: Sequence[str]) -> str | None:
             out += f"{{n:{widths.pop():02}}}" if len(widths) == 1 and next(iter(widths)) > 1 else "{n}"
         else:
             # the next log's stamp may begin otherwise
-            out += cells[0] if len(set(cells)) == 1 else "*" if at % 2 else f"{_common_start(cells)}*"
+            text = commonprefix(cells)  # noqa: RUF071 - of texts, not of paths
+            out += cells[0] if len(set(cells)) == 1 else "*" if at % 2 else f"{text}*"
     return out
-
-
-def _common_start(texts: Sequence[str]) -> str:
-    same = takewhile(lambda signs: len(set(signs)) == 1, zip(*texts, strict=False))
-    return "".join(signs[0] for signs in same)

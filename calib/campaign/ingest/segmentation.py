@@ -17,7 +17,7 @@ from calib.campaign.model import REFERENCE_POSE, Border, Campaign, RunTable
 from calib.campaign.readers import RawTable
 from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array
 from calib.errors import BadFileError
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, in_frame
 
 #: counts by which a standing wheel may toggle
 _TOGGLE_COUNTS: Final = 3.0
@@ -211,12 +211,9 @@ def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: 
         return float(known[0]) if np.isnan(value) and len(known) else value
 
     if poses and all(name in out for name in REFERENCE_POSE):
-        x, y, theta = (out[name] for name in REFERENCE_POSE)
-        x0, y0, theta0 = start(x), start(y), start(theta)
-        cos, sin = np.cos(theta0), np.sin(theta0)
-        out["ref_x_m"] = cos * (x - x0) + sin * (y - y0)
-        out["ref_y_m"] = -sin * (x - x0) + cos * (y - y0)
-        out["ref_theta_rad"] = theta - theta0
+        starts = [start(out[name]) for name in REFERENCE_POSE]
+        apart = np.stack([out[name] - first for name, first in zip(REFERENCE_POSE, starts, strict=True)])
+        out |= dict(zip(REFERENCE_POSE, in_frame(apart, np.array(starts[2])).T.copy(), strict=True))
     if distance and "range_m" in out:
         out["range_m"] = np.abs(out["range_m"] - start(out["range_m"]))
     return out

@@ -69,16 +69,16 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     above = [f"{cell} [{unit}]" if unit and cell == "Position" else cell for cell in above]
     if wanted is not None and data.find(b'"', start) < 0:
         first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:LOOKED_AT]
-        numbers = range(skipped + 1, skipped + 1 + len(first))
-        names, n_rows, recognised = heading(_split_cells(first, delimiter), numbers, layout, shown, above)
+        rows: Rows = list(enumerate(_split_cells(first, delimiter), start=skipped + 1))
+        names, n_rows, recognised = heading(rows, layout, shown, above)
         _check_names(names, shown, skipped + 1)
         fast = _read_numeric(data[_after(data, start, n_rows) :], names, delimiter, wanted)
         if fast is not None:
-            columns, rows, comma = fast
+            columns, n_read, comma = fast
             notes += recognised
             if comma:
                 notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
-            return RawTable(columns, np.arange(rows, dtype=np.int64) + skipped + 1 + n_rows, tuple(notes))
+            return RawTable(columns, np.arange(n_read, dtype=np.int64) + skipped + 1 + n_rows, tuple(notes))
     cells = _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, skipped, layout, above)
     return replace(cells, notes=(*notes, *cells.notes))
 
@@ -248,29 +248,28 @@ def _read_cells(
     text: str, shown: str, delimiter: str, wanted: Wanted | None, skipped: int, layout: Layout, above: Sequence[str]
 ) -> RawTable:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=True)
-    rows: Rows = []
-    lines: list[int] = []
     try:
-        for row in reader:
-            rows.append(row)
-            lines.append(reader.line_num + skipped)
+        rows: Rows = [(reader.line_num + skipped, row) for row in reader]
     except csv.Error as error:
         found, at = f"text that is no table ({error})", reader.line_num + skipped
         raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=at) from error
-    names, n_rows, recognised = heading(rows[:LOOKED_AT], lines[:LOOKED_AT], layout, shown, above)
+    names, n_rows, recognised = heading(rows, layout, shown, above)
     _check_names(names, shown, skipped + 1)
-    names, rows, lines, omitted = table_rows(names, rows, lines, n_rows, layout, shown)
-    # a remark beneath the table, as above it
-    remarks = [len(cells) != len(names) and "".join(cells).lstrip().startswith("#") for cells in rows]
-    filled = [at for at, cells in enumerate(rows) if any(cell.strip() for cell in cells) and not remarks[at]]
-    rows, lines = [rows[at] for at in filled], [lines[at] for at in filled]
-    for at, cells in enumerate(rows):
-        if len(cells) > len(names) and not any(cell.strip() for cell in cells[len(names) :]):
-            rows[at] = cells = cells[: len(names)]
-        if len(cells) != len(names):
+    names, rows, omitted = table_rows(names, rows, n_rows, layout, shown)
+    table: list[Sequence[str]] = []
+    lines: list[int] = []
+    for line, cells in rows:
+        # a remark beneath the table, as above it
+        remark = len(cells) != len(names) and "".join(cells).lstrip().startswith("#")
+        if remark or not any(cell.strip() for cell in cells):
+            continue
+        whole = cells if any(cell.strip() for cell in cells[len(names) :]) else cells[: len(names)]
+        if len(whole) != len(names):
             expected = f"{len(names)}, as the header in row {skipped + 1} has"
-            raise BadFileError(shown, f"{len(cells)} cells", expected, _remedy(cells, names, delimiter), row=lines[at])
-    grid = np.array(rows, dtype=object).reshape(len(rows), len(names))
+            raise BadFileError(shown, f"{len(cells)} cells", expected, _remedy(cells, names, delimiter), row=line)
+        table.append(whole)
+        lines.append(line)
+    grid = np.array(table, dtype=object).reshape(len(table), len(names))
     columns = {name: grid[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))}
     return finished(columns, lines, wanted, [*recognised, *omitted], shown)
 

@@ -15,36 +15,25 @@ from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells,
 from calib.errors import BadFileError
 from calib.types import SUFFIXES, unit_named
 
-#: as read
-Rows = list[Sequence[Any]]
-#: unit of a wheel's column -> what its numbers are, and turns (or counts, or metres) a unit
-COUNT_UNITS: Final[Mapping[str, tuple[str, float]]] = {
-    "counts": ("counts", 1.0),
-    "counts/sample": ("increments", 1.0),
-    "counts/s": ("count_rate", 1.0),
-    "turns": ("angle", 1.0),
-    "rad": ("angle", 1.0 / (2.0 * pi)),
-    "deg": ("angle", 1.0 / 360.0),
-    "turns/s": ("rate", 1.0),
-    "rad/s": ("rate", 1.0 / (2.0 * pi)),
-    "deg/s": ("rate", 1.0 / 360.0),
-    "rpm": ("rate", 1.0 / 60.0),
-    "rad/min": ("rate", 1.0 / (60.0 * 2.0 * pi)),
-    "m": ("length", 1.0),
-    "cm": ("length", 1e-2),
-    "mm": ("length", 1e-3),
+#: number of a row in the file, from 1, and its cells as read
+Rows = list[tuple[int, Sequence[Any]]]
+#: unit of a wheel's column -> what its numbers are, turns (or counts, metres) a unit, and other spellings in lower case
+COUNT_UNITS: Final[Mapping[str, tuple[str, float, str | None]]] = {
+    "counts": ("counts", 1.0, r"counts?|cnts?|ticks?|(im)?pulses?|in[ck]|imp"),
+    "counts/sample": ("increments", 1.0, r"increments|(cnt|ticks)/sample|counts/step"),
+    "counts/s": ("count_rate", 1.0, r"(cnt|ticks|impulse)/s"),
+    "turns": ("angle", 1.0, r"turn|revs?|revolutions|umdrehungen"),
+    "rad": ("angle", 1.0 / (2.0 * pi), None),
+    "deg": ("angle", 1.0 / 360.0, None),
+    "turns/s": ("rate", 1.0, r"(rev|u)/s"),
+    "rad/s": ("rate", 1.0 / (2.0 * pi), r"(radian|rad)s/s"),
+    "deg/s": ("rate", 1.0 / 360.0, r"(°|degrees|grad)/s"),
+    "rpm": ("rate", 1.0 / 60.0, r"(1|u|rev)/min"),
+    "rad/min": ("rate", 1.0 / (60.0 * 2.0 * pi), None),
+    "m": ("length", 1.0, None),
+    "cm": ("length", 1e-2, None),
+    "mm": ("length", 1e-3, None),
 }
-#: in lower case
-_COUNT_SPELLINGS: Final = (
-    ("counts", r"counts?|cnts?|ticks?|(im)?pulses?|in[ck]|imp"),
-    ("counts/sample", r"increments|(cnt|ticks)/sample|counts/step"),
-    ("counts/s", r"(cnt|ticks|impulse)/s"),
-    ("turns", r"turn|revs?|revolutions|umdrehungen"),
-    ("turns/s", r"(rev|u)/s"),
-    ("deg/s", r"(°|degrees|grad)/s"),
-    ("rpm", r"(1|u|rev)/min"),
-    ("rad/s", r"(radian|rad)s/s"),
-)
 #: units of what calib does not use, and forms of times as hh:mm:ss,f
 _OTHER_UNITS: Final = re.compile(
     r"m?v|m?a|k?w|k?hz|%|m?bar|[hk]?pa|nm|h|min|d|m/s²|[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE
@@ -75,13 +64,12 @@ SUMMARY: Final = re.compile(
 )
 
 
-def heading(
-    rows: Sequence[Sequence[Any]], lines: Sequence[int], layout: Layout, shown: str, above: Sequence[Any] = ()
-) -> tuple[list[str], int, list[Note]]:
+def heading(numbered: Rows, layout: Layout, shown: str, above: Sequence[Any] = ()) -> tuple[list[str], int, list[Note]]:
     """Return the columns' names, with units in brackets, how many rows they take, and what was recognised.
 
-    `rows`: the header first; `above`: the row over it; see `table_rows`.
+    `numbered`: the header first; `above`: the row over it; see `table_rows`.
     """
+    lines, rows = zip(*numbered[:LOOKED_AT], strict=True)
     first = _texts(rows[0])
     found = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
     if not layout.lab:
@@ -101,7 +89,7 @@ def heading(
         if layout.units_row not in lines:
             head, expected = f"rows {lines[0]} to {lines[-1]} at the head of the table", "the row of units among them"
             raise BadFileError(shown, head, expected, "correct units_row of the mapping", row=layout.units_row)
-        units_at = list(lines).index(layout.units_row)
+        units_at = lines.index(layout.units_row)
         n_rows = max(n_rows, units_at + 1)
     block = [_texts(row) for number, row in enumerate(rows[:n_rows]) if number != units_at]
     if layout.header_row is not None:
@@ -139,7 +127,7 @@ def unit_spelled(text: str) -> str:
     clean = text.strip()
     if clean in COUNT_UNITS:
         return clean
-    counted = (unit for unit, pattern in _COUNT_SPELLINGS if re.fullmatch(pattern, clean.lower()))
+    counted = (unit for unit, (_, _, form) in COUNT_UNITS.items() if form and re.fullmatch(form, clean.lower()))
     return next(counted, None) or unit_named(clean) or clean
 
 
@@ -243,29 +231,26 @@ def finished(
         written[name] = str(cells[0]).strip(), table.format_words(cells)
         text = f"times were read as {written[name][1]}"
         notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
-    if used_comma:
-        notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
-        notes += table.mixed_decimal_marks(columns, shown, line)
+    notes += table.notes_of_commas(columns, shown, line) if used_comma else []
     return RawTable(values, line, tuple(notes), epochs, written)
 
 
 def table_rows(
-    names: list[str], rows: Rows, lines: list[int], n_rows: int, layout: Layout, shown: str
-) -> tuple[list[str], Rows, list[int], list[Note]]:
-    """Return names, and rows and lines beneath the header; of a laboratory's only those of the table, others noted.
+    names: list[str], rows: Rows, n_rows: int, layout: Layout, shown: str
+) -> tuple[list[str], Rows, list[Note]]:
+    """Return names, and the rows beneath the header; of a laboratory's only those of the table, others noted.
 
     A row of one text is a remark, unless it is written as other cells of its column are. A unit that all cells of a
-    column repeat goes into its name. `rows`, `lines`: cells as read, the `n_rows` of the header first, and their rows
-    in the file, from 1; see `heading`.
+    column repeat goes into its name. `rows`: the `n_rows` of the header first; see `heading`.
     """
-    heads, rows, lines = [_without_end(_texts(row)) for row in rows[:n_rows]], rows[n_rows:], lines[n_rows:]
+    heads, rows = [_without_end(_texts(row)) for _, row in rows[:n_rows]], rows[n_rows:]
     if not layout.lab:
-        return names, rows, lines, []
+        return names, rows, []
     kept: Rows = []
-    kept_lines, notes = [], []
+    notes = []
     last_remark, above = "", []
     shapes: set[tuple[int, str]] = set()
-    for row, line in zip(rows, lines, strict=True):
+    for line, row in rows:
         if not (filled := [(at, cell) for at, cell in enumerate(row) if is_filled(cell)]):
             continue
         at, first = filled[0]
@@ -274,7 +259,7 @@ def table_rows(
         if len(filled) == 1 and len(names) >= _LEAST_COLUMNS and not is_number(first):
             shapes = shapes or {
                 (column, _shape(str(cell).strip()))
-                for other in rows
+                for _, other in rows
                 if len(filled_cells(other)) > 1
                 for column, cell in enumerate(other)
             }
@@ -287,12 +272,11 @@ def table_rows(
         if why:
             notes.append(Note("info", f"{shown}, row {line}", f"{text[:60]!r} is {why}, no row; omitted", "remark"))
             continue
-        kept.append(row)
-        kept_lines.append(line)
+        kept.append((line, row))
         above.append(last_remark)
-    units = [_unit_of_cells(row[at] for row in kept if at < len(row)) for at in range(len(names))]
+    units = [_unit_of_cells(row[at] for _, row in kept if at < len(row)) for at in range(len(names))]
     if any(units):
-        kept = [list(map(_without_unit, row, chain(units, repeat("")))) for row in kept]
+        kept = [(line, list(map(_without_unit, row, chain(units, repeat(""))))) for line, row in kept]
     whole = [
         f"{name} [{unit}]" if unit and not _UNIT_AT_END.search(name) else name
         for name, unit in zip(names, units, strict=True)
@@ -303,8 +287,8 @@ def table_rows(
         notes = [one for one in notes if one.text.split("'")[1] not in headings]
         text = f"{', '.join(headings)[:100]} stand above their rows; they are the column {SECTION!r}"
         notes.append(Note("info", shown, text, "remark"))
-        whole, kept = [SECTION, *whole], [[text, *row] for text, row in zip(above, kept, strict=True)]
-    return whole, kept, kept_lines, notes
+        whole, kept = [SECTION, *whole], [(at, [text, *row]) for text, (at, row) in zip(above, kept, strict=True)]
+    return whole, kept, notes
 
 
 def _without_end(cells: list[str]) -> list[str]:

@@ -6,7 +6,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,7 +15,7 @@ import numpy as np
 from calib import errors
 from calib.campaign.model import Note
 from calib.campaign.readers import table
-from calib.campaign.readers.sheets import LOOKED_AT, Rows, finished, heading, table_rows
+from calib.campaign.readers.sheets import Rows, finished, heading, table_rows
 from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, object_array
 from calib.errors import BadFileError, error_words, missing_reader, refuse_beyond
 
@@ -44,26 +44,25 @@ def read_sheet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) ->
     last_row = check_size(path, shown)
     notes: list[Note] = []
     with _opened(path, shown) as book:
-        sheet = _sheet(book, path, shown, layout, last_row)
-        if len(book.sheetnames) > 1 and sheet.rows and not layout.sheet:
-            text = f"the workbook has {len(book.sheetnames)} sheets; {sheet.name!r} was read"
+        name, rows, at, merged = _sheet(book, path, shown, layout, last_row)
+        if len(book.sheetnames) > 1 and rows and not layout.sheet:
+            text = f"the workbook has {len(book.sheetnames)} sheets; {name!r} was read"
             notes.append(Note("info", shown, text, "sheet"))
-    if not sheet.rows:
+    if not rows:
         raise BadFileError(shown, found="no cells", expected="a header line and rows", remedy="export the table again")
-    at, rows, lines = sheet.header_at, sheet.rows, sheet.lines
-    above = rows[at - 1] if at and lines[at - 1] == lines[at] - 1 else ()
-    names, n_rows, recognised = heading(rows[at : at + LOOKED_AT], lines[at : at + LOOKED_AT], layout, shown, above)
+    header_row = rows[at][0]
+    above = rows[at - 1][1] if at and rows[at - 1][0] == header_row - 1 else ()
+    names, n_rows, recognised = heading(rows[at:], layout, shown, above)
     header = names[: max((at for at, name in enumerate(names, start=1) if name), default=0)]
-    table.check_header(header, shown, row=lines[at])
-    header, rows, lines, omitted = table_rows(header, rows[at:], lines[at:], n_rows, layout, shown)
-    notes += [*recognised, *sheet.notes, *omitted]
-    notes += _beside(rows, lines, len(header), shown, layout, sheet.lines[at])
+    table.check_header(header, shown, row=header_row)
+    header, rows, omitted = table_rows(header, rows[at:], n_rows, layout, shown)
+    notes += [*recognised, *merged, *omitted, *_beside(rows, len(header), shown, layout, header_row)]
     columns = {
-        name: object_array(_dated([row[index] if index < len(row) else None for row in rows]))
+        name: object_array(_dated([row[index] if index < len(row) else None for _, row in rows]))
         for index, name in enumerate(header)
         if name and (wanted is None or wanted(name))
     }
-    return finished(columns, lines, wanted, notes, shown)
+    return finished(columns, [line for line, _ in rows], wanted, notes, shown)
 
 
 def sheet_names(path: Path, shown: str) -> list[str]:
@@ -92,20 +91,12 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
         raise BadFileError(shown, f"a damaged workbook ({type(error).__name__})", expected, remedy) from error
 
 
-@dataclass(slots=True)
-class _Sheet:
-    name: str = ""
-    rows: Rows = field(default_factory=list)
-    lines: list[int] = field(default_factory=list)
-    header_at: int = 0
-    notes: list[Note] = field(default_factory=list)
-
-
-def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> _Sheet:
+def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> tuple[str, Rows, int, list[Note]]:
+    # its name, rows that hold something, the header's index among them, and what was filled in
     if layout.sheet is not None and layout.sheet not in book.sheetnames:
         found = f"the sheets {', '.join(map(str, book.sheetnames))[:200]}"
         raise BadFileError(shown, found, f"a sheet {layout.sheet!r}", "correct sheet of the mapping")
-    first = _Sheet()
+    first: tuple[str, Rows, int, list[Note]] = ("", [], 0, [])
     for sheet in (sheet for sheet in book.worksheets if layout.sheet in (None, sheet.title)):
         sheet.reset_dimensions()
         numbered = {
@@ -117,17 +108,17 @@ def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> 
         notes = _fill_merged(numbered, path, part, shown, across=layout.runs_in_columns) if layout.lab else []
         if layout.runs_in_columns:
             numbered = dict(enumerate(table.turned(list(numbered.values())), start=1))
-        filled = [(number, cells) for number, cells in numbered.items() if any(cell is not None for cell in cells)]
+        filled: Rows = [row for row in numbered.items() if any(cell is not None for cell in row[1])]
         header_at = _header_index(filled, layout, shown)
-        if header_at is None and (first.rows or not filled):
+        if header_at is None and (first[1] or not filled):
             continue
-        first = _Sheet(str(sheet.title), [row for _, row in filled], [at for at, _ in filled], header_at or 0, notes)
+        first = str(sheet.title), filled, header_at or 0, notes
         if header_at is not None:
             return first
     return first
 
 
-def _header_index(filled: list[tuple[int, list[Any]]], layout: Layout, shown: str) -> int | None:
+def _header_index(filled: Rows, layout: Layout, shown: str) -> int | None:
     if layout.header_row is None:
         return table.find_header([cells for _, cells in filled[: table.HEADER_ROWS]])
     index = next((index for index, (number, _) in enumerate(filled) if number == layout.header_row), None)
@@ -162,9 +153,9 @@ def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, 
     return [Note("info", shown, text, "merged_cells")] if n_filled else []
 
 
-def _beside(rows: Rows, lines: list[int], width: int, shown: str, layout: Layout, header_row: int) -> list[Note]:
+def _beside(rows: Rows, width: int, shown: str, layout: Layout, header_row: int) -> list[Note]:
     notes = []
-    for number, cells in zip(lines, rows, strict=True):
+    for number, cells in rows:
         extra = next((f"{str(cell)[:40]!r}" for cell in cells[width:] if cell is not None), None)
         if extra and not layout.lab:
             expected = f"at most {width} cells, as the header in row {header_row} has"
@@ -201,11 +192,9 @@ def check_size(path: Path, shown: str) -> int:
 
 
 def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
-    def check(count: int, most: int, what: str, remedy: str = _REMEDY) -> None:
-        refuse_beyond(count, most, shown=shown, what=what, remedy=remedy)
-
+    check = partial(refuse_beyond, shown=shown, remedy=_REMEDY)
     entries = archive.infolist()
-    check(sum(entry.file_size for entry in entries), errors.SHEET_UNPACKED_BYTES, "bytes unpacked")
+    check(sum(entry.file_size for entry in entries), errors.SHEET_UNPACKED_BYTES, what="bytes unpacked")
     sheets, books, texts, others = (
         [entry for entry in entries if part.fullmatch(entry.filename)]
         for part in (_SHEET_PART, _BOOK_PART, _TEXTS_PART, _OTHER_PART)
@@ -215,17 +204,17 @@ def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
         return sum(len(element.findall(block)) for entry in parts for block in _blocks(archive, entry))
 
     # a part may be listed as many sheets
-    check(max(len(sheets), count(_LISTED, books)), errors.SHEETS, "sheets", "keep the sheet with the table")
+    check(max(len(sheets), count(_LISTED, books)), errors.SHEETS, what="sheets", remedy="keep the sheet with the table")
     size = sum(entry.file_size for entry in others if entry not in (*sheets, *texts))
-    check(size, _OTHER_BYTES, "bytes of styles and the like")
-    check(count(_TEXT, texts), errors.SHEET_CELLS, "texts")
+    check(size, _OTHER_BYTES, what="bytes of styles and the like")
+    check(count(_TEXT, texts), errors.SHEET_CELLS, what="texts")
     cells = empty = last_row = 0
     for entry in sheets:
         sheet_cells, sheet_empty, sheet_last = _extent(archive, entry)
         cells, empty, last_row = cells + sheet_cells, empty + sheet_empty, max(last_row, sheet_last)
-        check(cells, errors.SHEET_CELLS, "cells")
+        check(cells, errors.SHEET_CELLS, what="cells")
         remedy = f"delete rows and columns that hold nothing, or {_REMEDY}"
-        check(empty, errors.SHEET_EMPTY, "empty places between the cells", remedy)
+        check(empty, errors.SHEET_EMPTY, what="empty places between the cells", remedy=remedy)
     return last_row
 
 
