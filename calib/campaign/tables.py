@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS, Border, Campaign, RunTable
 from calib.campaign.readers.sheets import SUMMARY
-from calib.campaign.readers.table import RawTable, comma_evidence, mixed_decimal_marks, numbers, time_format
+from calib.campaign.readers.table import RawTable, comma_evidence, notes_of_commas, numbers, time_format
 from calib.campaign.settings import Recognised, converted, look_alike, recognise, second_column
 from calib.campaign.settings_file import to_toml, written_settings
 from calib.errors import LABEL_CHARACTERS, RUNS, BadFileError, BadInputError, refuse_beyond
@@ -167,9 +167,8 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
         commas = commas or comma
         values[name] = converted(column, match.factor, match.offset)
     if commas:
-        border.say(shown, "decimal commas were read as decimal points", "decimal_comma")
         written = {matched[name].found: raw.columns[matched[name].found] for name in values}
-        border.notes.extend(mixed_decimal_marks(written, shown, raw.line))
+        border.notes.extend(notes_of_commas(written, shown, raw.line))
     return values
 
 

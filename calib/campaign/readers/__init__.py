@@ -44,13 +44,9 @@ def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Lay
     `path`: a file, or a rosbag2 folder; `wanted`: which columns to keep, as numbers; None keeps all as read. Raises
     BadFileError where the file is missing, unknown or damaged, or an extra is not installed.
     """
-    read = _reader(path, shown)
-    try:
-        if holds_recording(path):
-            return joined_table(read(path, shown, wanted))
-        table: RawTable = read(path, shown, wanted, layout or Layout())
-    except OSError as error:
-        raise _unreadable(shown, error) from error
+    if holds_recording(path):
+        return joined_table(_read(path, shown, wanted))
+    table: RawTable = _read(path, shown, wanted, layout or Layout())
     return table
 
 
@@ -59,13 +55,7 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
 
     See `read_table`; a `WantedColumns` lets whole topics be passed over. Raises BadFileError also of a table.
     """
-    record = _reader(path, shown)
-    if not holds_recording(path):
-        raise BadFileError(shown, "a table", "a recording (bag, TDMS, .mat, .tum)", "read it as a table")
-    try:
-        recording: Recording = record(path, shown, wanted)
-    except OSError as error:
-        raise _unreadable(shown, error) from error
+    recording: Recording = _read(path, shown, wanted, streams=True)
     return recording
 
 
@@ -130,7 +120,7 @@ def _name(path: Path) -> str:
     return READERS.get(".bag" if path.name == BAG_METADATA or is_bag_folder(path) else path.suffix.lower(), "")
 
 
-def _reader(path: Path, shown: str) -> Callable[..., Any]:
+def _read(path: Path, shown: str, *asked: Wanted | Layout | None, streams: bool = False) -> Any:
     module, _, function = _name(path).partition(".")
     if not module:
         expected = f"one of {', '.join(READERS)}, or the folder of a rosbag2 recording"
@@ -138,9 +128,11 @@ def _reader(path: Path, shown: str) -> Callable[..., Any]:
     if not path.is_file() and not is_bag_folder(path):
         found = "a folder or special file" if path.exists() else "no such file"
         raise BadFileError(shown, found, "a readable file", "correct the path or put the file there")
+    if streams and not holds_recording(path):
+        raise BadFileError(shown, "a table", "a recording (bag, TDMS, .mat, .tum)", "read it as a table")
     reader: Callable[..., Any] = getattr(importlib.import_module(f"{__name__}.{module}"), function)
-    return reader
-
-
-def _unreadable(shown: str, error: OSError) -> BadFileError:
-    return BadFileError(shown, error.strerror or "an unreadable file", "a readable file", "check its rights")
+    try:
+        return reader(path, shown, *asked)
+    except OSError as error:
+        found = error.strerror or "an unreadable file"
+        raise BadFileError(shown, found, "a readable file", "check its rights") from error

@@ -24,6 +24,7 @@ from calib.campaign.readers.table import (
     check_header,
     find_header,
     is_number,
+    notes_of_commas,
     turned,
 )
 from calib.errors import BadFileError
@@ -76,8 +77,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         if fast is not None:
             columns, n_read, comma = fast
             notes += recognised
-            if comma:
-                notes.append(Note("info", shown, "decimal commas were read as decimal points", "decimal_comma"))
+            notes += notes_of_commas({}, shown, np.zeros(0, np.int64)) if comma else []
             return RawTable(columns, np.arange(n_read, dtype=np.int64) + skipped + 1 + n_rows, tuple(notes))
     cells = _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, skipped, layout, above)
     return replace(cells, notes=(*notes, *cells.notes))

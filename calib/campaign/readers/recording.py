@@ -320,9 +320,12 @@ def _damaged(shown: str, reason: str) -> BadFileError:
     return BadFileError(shown, f"a recording that is cut or damaged ({reason})", expected, remedy)
 
 
-def _pose(pose: Any) -> tuple[float, ...]:
-    place, turn = pose.position, pose.orientation
+def _seven(place: Any, turn: Any) -> tuple[float, ...]:
     return (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+
+
+def _pose(pose: Any) -> tuple[float, ...]:
+    return _seven(pose.position, pose.orientation)
 
 
 def _twist(twist: Any) -> tuple[float, ...]:
@@ -344,8 +347,7 @@ def _joint_state(message: Any) -> list[Part]:
 
 
 def _transform(message: Any) -> Part:
-    place, turn = message.transform.translation, message.transform.rotation
-    numbers = (place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w)
+    numbers = _seven(message.transform.translation, message.transform.rotation)
     return f"[{message.header.frame_id}>{message.child_frame_id}]", POSE, numbers, message.header
 
 

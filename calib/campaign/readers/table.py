@@ -287,8 +287,9 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
     return True if comma else (False if point else None)
 
 
-def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: IntArray) -> list[Note]:
-    """Return a note where a table has both decimal commas and points."""
+def notes_of_commas(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: IntArray) -> list[Note]:
+    """Return notes on a table with decimal commas, and on one with decimal points beside them."""
+    notes = [Note("info", shown, "decimal commas were read as decimal points", "decimal_comma")]
     first: dict[str, tuple[int, str, str]] = {}
     for name, cells in columns.items():
         for mark, form in ((",", _COMMA), (".", _POINT)):
@@ -298,11 +299,11 @@ def mixed_decimal_marks(columns: Mapping[str, npt.NDArray[Any]], shown: str, lin
                     first[mark] = min(first.get(mark, (row, name, cell)), (row, name, cell))
                     break
     if len(first) < 2:
-        return []
+        return notes
     (row, name, cell), (other_row, other_name, other_cell) = first[","], first["."]
     text = f"""a decimal comma ({cell.strip()!r:.40}) and, in row {other_row}, column {other_name}, a decimal point
         ({other_cell.strip()!r:.40}); both were read as decimal marks: look whether one of them separates thousands"""
-    return [Note.of(f"{shown}, row {row}, column {name}", text, "decimal_marks")]
+    return [*notes, Note.of(f"{shown}, row {row}, column {name}", text, "decimal_marks")]
 
 
 def time_format(text: str) -> str | None:
