@@ -90,7 +90,7 @@ class WheelLaw:
         if single_run and not self.residual_std_m:
             return np.full(contrast.shape[:-1], np.nan)
         if self.strata is not None:
-            return self.strata.half_width(contrast, **self._more(contrast, single_run))
+            return self.strata.half_width(contrast, single_run=single_run)
         std = self.prediction_std_m(load_N) if single_run else self.mean_std_m(load_N)
         return np.asarray(std * (stdtrit(self.dof, UPPER) if self.dof > 0 else np.nan))
 
@@ -102,19 +102,12 @@ class WheelLaw:
         c = floats(contrast)
         if self.strata is None:
             return np.full(c.shape[:-1], self.dof)
-        return self.strata.dof(c, **self._more(c, single_run))
+        return self.strata.dof(c, single_run=single_run)
 
     def contrast(self, load_N: ArrayLike) -> FloatArray:
         """Return 1 and the load above the reference, (..., 2), at `load_N` (any shape)."""
         offset = floats(load_N) - self.reference_load_N
         return np.stack((np.ones_like(offset), offset), axis=-1)
-
-    def _more(self, contrast: FloatArray, single_run: bool) -> dict[str, FloatArray]:
-        if not single_run or self.strata is None:
-            return {}
-        square = contrast[..., 0] ** 2
-        parts = {"more_within": self.strata.run_variance, "more_between": self.strata.session_variance}
-        return {name: square * variance for name, variance in parts.items()}
 
 
 def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
@@ -242,17 +235,17 @@ class LineEstimate:
         """Covariance of the coefficients, shape (2, 2)."""
         return np.asarray(self.cov_within + self.cov_between + self.cov_systematic)
 
-    def half_width(self, contrast: ArrayLike, **more: ArrayLike) -> FloatArray:
+    def half_width(self, contrast: ArrayLike, *, single_run: bool = False) -> FloatArray:
         """Return the half width of the interval of ``contrast @ coefficients``, shape (...).
 
-        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope; `more`: ``more_within``
-        and ``more_between``, variances of a further run and session, for a prediction.
+        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope; `single_run`: of a
+        further run in a session of its own.
         """
-        total, share = self._variance(contrast, **more)
+        total, share = self._variance(contrast, single_run)
         random = critical_value(share, self.dof_between, self.dof_within) * np.sqrt(total)
         if self.sessions_agree:
             # never narrower than of independent runs
-            alone = self._variance(contrast, self.session_f or 1.0, **more)[0]
+            alone = self._variance(contrast, single_run, self.session_f or 1.0)[0]
             random = np.maximum(random, stdtrit(self.dof_within, UPPER) * np.sqrt(alone))
         if not len(self.systematic):
             return random
@@ -274,12 +267,12 @@ class LineEstimate:
         value, half = self.coefficients[index], self.half_width(np.eye(2)[index])
         return float(value - half), float(value + half)
 
-    def dof(self, contrast: ArrayLike, **more: ArrayLike) -> FloatArray:
-        """Return the degrees of freedom whose Student's t gives `half_width`, shape (...); `more`: as there."""
-        total, share = self._variance(contrast, **more)
+    def dof(self, contrast: ArrayLike, *, single_run: bool = False) -> FloatArray:
+        """Return the degrees of freedom whose Student's t gives `half_width`, shape (...)."""
+        total, share = self._variance(contrast, single_run)
         if len(self.systematic) or self.sessions_agree:
             std = np.sqrt(total + np.sum((floats(contrast) @ self.systematic.T) ** 2, axis=-1))
-            return equivalent_dof(self.half_width(contrast, **more) / np.where(std > 0, std, 1.0))
+            return equivalent_dof(self.half_width(contrast, single_run=single_run) / np.where(std > 0, std, 1.0))
         dof = equivalent_dof(critical_value(share, self.dof_between, self.dof_within))
         return np.where(share <= 0, self.dof_within, np.where(share >= 1, self.dof_between, dof))
 
@@ -288,13 +281,14 @@ class LineEstimate:
         """Whether sessions agree better than their runs explain."""
         return self.session_f is not None and 0.0 < self.session_f < 1.0
 
-    def _variance(
-        self, contrast: ArrayLike, ratio: ArrayLike = 1.0, more_within: ArrayLike = 0.0, more_between: ArrayLike = 0.0
-    ) -> tuple[FloatArray, FloatArray]:
+    def _variance(self, contrast: ArrayLike, single_run: bool, ratio: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        # of runs and sessions, and the sessions' share of it; ratio: that the sessions' part is divided by
         c = floats(contrast)
-        parts = (self.cov_within, self.cov_between / floats(ratio))
-        variances = [np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) for part in parts]
-        within, between = variances[0] + floats(more_within), variances[1] + floats(more_between)
+        further = c[..., 0] ** 2 * single_run
+        parts = ((self.cov_within, self.run_variance), (self.cov_between / ratio, self.session_variance))
+        within, between = (
+            np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) + further * variance for part, variance in parts
+        )
         total = np.asarray(within + between)
         return total, np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
 
