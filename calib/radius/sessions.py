@@ -13,7 +13,7 @@ that of the same least-squares estimates under it, with Satterthwaite's degrees 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -130,18 +130,14 @@ def line_of_strata(
     between = slope_within if only_within else float(weight @ (centred * (y_mean - mean_radius))) / info_between
     slope = weight_within * slope_within + (1 - weight_within) * between if weight_within else between
     departures = y_mean - mean_radius - between * centred
-    between_square, scatter = _of_sessions(departures, sizes, dof_between, run_variance, dof_within)
     lever = np.array([[centre**2, -centre], [-centre, 1.0]])
-    cov_between = np.diag([between_square / weight.sum(), 0.0])
+    per_square = np.diag([1.0 / weight.sum(), 0.0])
     if not only_within:
-        cov_between = cov_between + (1 - weight_within) ** 2 * between_square / info_between * lever
-    return LineEstimate(
-        design="crossed" if only_within else "confounded" if only_between else "mixed",
-        coefficients=np.array([mean_radius - slope * centre, slope]),
-        cov_within=lever * (weight_within**2 * run_variance / info if weight_within else 0.0),
-        cov_between=cov_between,
-        **scatter,
-    )
+        per_square = per_square + (1 - weight_within) ** 2 / info_between * lever
+    design = "crossed" if only_within else "confounded" if only_between else "mixed"
+    coefficients, dof = np.array([mean_radius - slope * centre, slope]), (dof_within, float(dof_between))
+    cov_within = lever * (weight_within**2 * run_variance / info if weight_within else 0.0)
+    return _with_sessions(design, coefficients, cov_within, per_square, departures, sizes, dof, run_variance)
 
 
 def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimate | None:
@@ -165,24 +161,26 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
     return replace(estimate, cov_within=estimate.cov_within * (variance * info / estimate.run_variance), hc3=True)
 
 
-def _of_sessions(
-    departures: FloatArray, sizes: FloatArray, dof_between: float, run_variance: float, dof_within: float
-) -> tuple[float, dict[str, Any]]:
-    # the mean square of session means about the law, and an estimate's fields by it; where few agree by chance an
-    # interval is as wide as by the runs alone
+def _with_sessions(
+    design: str,
+    coefficients: FloatArray,
+    cov_within: FloatArray,
+    per_square: FloatArray,
+    departures: FloatArray,
+    sizes: FloatArray,
+    dof: tuple[float, float],
+    run_variance: float,
+) -> LineEstimate:
+    # per_square: covariance between sessions by the mean square of their means about the law; where few agree by chance
+    # an interval is as wide as by the runs alone
     weight, explained = 1.0 / (WORKING_RATIO + 1.0 / sizes), run_variance * float(np.mean(1.0 / sizes))
-    square = float(weight @ departures**2) / dof_between
-    of_runs, of_sessions = stdtrit([dof_within, dof_between], 0.975).tolist()
-    square = max(square, explained * float(weight.mean()) * (of_runs / of_sessions) ** 2)
+    of_runs, of_sessions = stdtrit(dof, 0.975).tolist()
+    least = explained * float(weight.mean()) * (of_runs / of_sessions) ** 2
+    square = max(float(weight @ departures**2) / dof[1], least)
     variance = square / float(weight.mean())
-    return square, {
-        "dof_within": float(dof_within),
-        "dof_between": float(dof_between),
-        "run_variance": run_variance,
-        "session_variance": max(variance - explained, 0.0),
-        "session_f": variance / explained if run_variance > 0 else None,
-        "hc3": False,
-    }
+    variances = (run_variance, max(variance - explained, 0.0))
+    session_f = variance / explained if run_variance > 0 else None
+    return LineEstimate(coefficients, *dof, *variances, cov_within, square * per_square, session_f, False, design)
 
 
 def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
@@ -195,14 +193,9 @@ def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
     mean, inner = groups.means(y), groups.within(y)
     weight, dof_within = 1.0 / (WORKING_RATIO + 1.0 / groups.sizes), n - n_sessions
     value, run_variance = float(weight @ mean / weight.sum()), float(inner @ inner) / dof_within
-    square, scatter = _of_sessions(mean - value, groups.sizes, n_sessions - 1, run_variance, dof_within)
-    return LineEstimate(
-        design="constant",
-        coefficients=np.array([value, 0.0]),
-        cov_within=np.zeros((2, 2)),
-        cov_between=np.diag([square / weight.sum(), 0.0]),
-        **scatter,
-    )
+    constant, per_square = np.array([value, 0.0]), np.diag([1.0 / weight.sum(), 0.0])
+    dof, none = (float(dof_within), n_sessions - 1.0), np.zeros((2, 2))
+    return _with_sessions("constant", constant, none, per_square, mean - value, groups.sizes, dof, run_variance)
 
 
 #: to show an autocorrelation
