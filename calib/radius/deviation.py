@@ -18,7 +18,7 @@ from calib.documents import plain
 from calib.errors import BadInputError
 from calib.radius.effective import UnusedRun, usable_runs
 from calib.radius.path_length import PathExcess, arc_excess, correct_paths, small_amplitude_excess, whole_period_excess
-from calib.types import FloatArray, Row, StrArray, floats
+from calib.types import FloatArray, Row, StrArray, floats, rows_of
 from calib.vehicle import Vehicle
 
 #: halvings, to rounding
@@ -53,15 +53,13 @@ def weave_excess(
     return PathExcess.of(length / distance - 1, yaw, distance, track_m)
 
 
-def arc_of_radii_rad(
-    distance_m: ArrayLike, radius_left_m: ArrayLike, radius_right_m: ArrayLike, track_m: float
-) -> FloatArray:
-    """Return the turn of a vehicle that holds equal wheel rates on wheels of unequal radii (Fig. 8a).
+def arc_of_ratio_rad(distance_m: ArrayLike, radius_ratio: ArrayLike, track_m: float) -> FloatArray:
+    """Return the turn of a vehicle that holds equal wheel rates on wheels of ratio r_R / r_L (Fig. 8a).
 
-    `distance_m`: path of the middle of the axle; the radii are the true ones. Left turns are positive.
+    `distance_m`: path of the middle of the axle; the ratio is that of the true radii. Left turns are positive.
     """
-    left, right = floats(radius_left_m), floats(radius_right_m)
-    return np.asarray(floats(distance_m) * 2 * (right - left) / ((right + left) * track_m))
+    ratio = floats(radius_ratio)
+    return np.asarray(floats(distance_m) * 2 * (ratio - 1.0) / ((ratio + 1.0) * track_m))
 
 
 def radius_error(excess: ArrayLike) -> FloatArray:
@@ -146,7 +144,7 @@ def deviation_rows(
         "yaw_rad": path.yaw_rad,
         "allowed_amplitude_m": allowed_amplitude_m(tolerance, w),
     }
-    return [dict(zip(table, map(float, row), strict=True)) for row in zip(*table.values(), strict=True)]
+    return rows_of(table)
 
 
 def table_setting(
@@ -174,7 +172,7 @@ def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str,
     if not 0 < radius_ratio < np.inf:
         raise BadInputError(f"radius_ratio: found {radius_ratio:g}; expected r_R / r_L above 0; 1 is equal wheels")
     # chord over diameter
-    sine = 0.5 * float(arc_of_radii_rad(distance_m, 1.0, radius_ratio, track_m))
+    sine = 0.5 * float(arc_of_ratio_rad(distance_m, radius_ratio, track_m))
     if abs(sine) > 1.0:
         raise BadInputError(
             f"distance: found {distance_m:g} m; expected at most {distance_m / abs(sine):.4g} m, the diameter of the "
@@ -287,7 +285,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right * (1 + path.left)
     )
     believed = model.radius_right_m / model.radius_left_m
-    turn = arc_of_radii_rad(distance, 1.0, ratio / believed, vehicle.track_m)
+    turn = arc_of_ratio_rad(distance, ratio / believed, vehicle.track_m)
     unknown_nan = np.where(known, 0.0, np.nan)
     columns = {
         "run_id": runs.run_id,

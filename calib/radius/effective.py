@@ -12,7 +12,7 @@ from calib.campaign.checks.design import turned_rad
 from calib.campaign.checks.measurements import off_line
 from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS
-from calib.campaign.wheels import SOURCE_NAMES, odometry_source, without_rear_wheels
+from calib.campaign.wheels import SOURCE_NAMES, WHEEL_COLUMNS, odometry_source, without_rear_wheels
 from calib.errors import BadFileError, RefusedError
 from calib.radius.path_length import correct_paths
 from calib.radius.regression import WheelFit
@@ -105,36 +105,36 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
             "or run 'calib geometry' for the radius and the lengths of this vehicle"
         )
     runs, notes = campaign.runs, []
-    loads = {side: runs.number(f"load_{side}_N") for side in ("left", "right")}
-    unladen = not any(np.isfinite(load).any() for load in loads.values()) and not np.any(runs.number("payload_kg") > 0)
+    # of left and right wheel, shape (2, n_runs)
+    loads, counts = (np.stack([*map(runs.number, of)]) for of in (WHEEL_LOADS, WHEEL_COLUMNS["rear"]))
+    unladen = not np.isfinite(loads).any() and not np.any(runs.number("payload_kg") > 0)
     if need_load and unladen:
         own_N = campaign.vehicle.unladen_load_N
         notes.append(
             f"No run has wheel loads or a payload: all are taken as unladen ({own_N:.0f} N a wheel), which "
             "they may not have been; add payload_kg, or load_left_N and load_right_N, to runs.csv."
         )
-        loads = {side: np.full(len(runs), own_N) for side in loads}
+        loads = np.full_like(loads, own_N)
     turn = turned_rad(campaign)
     # a wrong counts_per_rev turns all runs alike, loads by what radii differ: no reason to drop them
-    unusual = off_line(loads["left"] - loads["right"], turn)
+    unusual = off_line(loads[0] - loads[1], turn)
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
     straight |= not straight.any()
-    counts = {side: runs.number(f"counts_{side}") for side in loads}
     distance = runs.number("distance_m")
     reasons = (
         (runs.excluded, "flagged as excluded in runs.csv"),
         (~straight, "not a corridor run by its kind"),
         (~np.isfinite(distance), "has no distance_m"),
         (np.abs(distance) < SHORTEST_M, f"is shorter than {SHORTEST_M} m"),
-        (~(np.isfinite(counts["left"]) & np.isfinite(counts["right"])), "has no counts"),
-        ((counts["left"] == 0) | (counts["right"] == 0), "has a wheel without a single count"),
+        (~np.isfinite(counts).all(axis=0), "has no counts"),
+        ((counts == 0).any(axis=0), "has a wheel without a single count"),
         (
-            counts["left"] * counts["right"] < 0,
+            counts.prod(axis=0) < 0,
             "has counts of opposite sign: one encoder runs backwards, or the vehicle turned on the spot",
         ),
         (
-            need_load & ~np.isfinite(loads["left"] + loads["right"]),
+            need_load & ~np.isfinite(loads).all(axis=0),
             "has no load_left_N, load_right_N, nor a payload with payload_x_m",
         ),
         (
@@ -152,7 +152,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
             f"{campaign.root or campaign.name}: found no run that can be used; expected straight runs with a distance, "
             f"counts and a load; run {first.run_id} {first.reason}"
         )
-    numbers = {**runs.numbers, **{f"load_{side}_N": load for side, load in loads.items()}}
+    numbers = {**runs.numbers, **dict(zip(WHEEL_LOADS, loads, strict=True))}
     return replace(campaign, runs=replace(runs, numbers=numbers)).select(keep), left_out, notes
 
 
@@ -169,7 +169,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     runs, encoder, path = campaign.runs, campaign.encoder, correct_paths(campaign)
     distance = np.abs(runs.number("distance_m"))
     # of left and right wheel, shape (2, n_runs)
-    counts = np.abs([runs.number("counts_left"), runs.number("counts_right")])
+    counts = np.abs([runs.number(name) for name in WHEEL_COLUMNS["rear"]])
     per_rev = np.array([[encoder.counts_per_rev_left], [encoder.counts_per_rev_right]])
     excess = np.stack((path.left, path.right))
     radius = distance * (1 + excess) / (2 * np.pi * counts / per_rev)

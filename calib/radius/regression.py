@@ -291,7 +291,9 @@ def fit_wheel(
     estimate, autocorrelation = widened(estimate, x if naive else None, radius, groups)
     # also where there are too few sessions to estimate their scatter
     design = "confounded" if grouped and estimate.design == "single" else estimate.design
-    leverage, cook = _influence(ols)
+    influence = ols.get_influence()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cook = np.nan_to_num(influence.cooks_distance[0], nan=0.0, posinf=0.0)
     return WheelFit(
         wheel=wheel,
         design=design,
@@ -303,8 +305,8 @@ def fit_wheel(
         load_N=load,
         radius_m=radius,
         residual_m=radius - estimate.coefficients[0] - estimate.coefficients[1] * x,
-        leverage=leverage,
-        cook=cook,
+        leverage=np.asarray(influence.hat_matrix_diag),
+        cook=np.asarray(cook),
         autocorrelation=autocorrelation,
     )
 
@@ -326,13 +328,6 @@ def independent_line(ols: "RegressionResults", x: FloatArray | None = None) -> L
     return LineEstimate.one_stratum(
         "single", ols.params, covariance, float(ols.df_resid), float(ols.mse_resid), hc3=bool(hc3)
     )
-
-
-def _influence(ols: "RegressionResults") -> tuple[FloatArray, FloatArray]:
-    influence = ols.get_influence()
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cook = np.nan_to_num(influence.cooks_distance[0], nan=0.0, posinf=0.0)
-    return np.asarray(influence.hat_matrix_diag), np.asarray(cook)
 
 
 def paired_law(left: WheelFit, right: WheelFit, groups: sessions.Groups) -> RadiusLaw:

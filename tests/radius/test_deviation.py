@@ -9,7 +9,7 @@ from calib.errors import BadInputError
 from calib.radius.deviation import (
     allowed_amplitude_m,
     allowed_amplitude_on_run_m,
-    arc_of_radii_rad,
+    arc_of_ratio_rad,
     arc_row,
     radius_error,
     weave_excess,
@@ -79,7 +79,7 @@ def test_arc_is_longer_than_its_chord_by_a_24th_of_the_turn_squared() -> None:
 
 def test_steady_arc_of_unequal_radii_is_the_circle_both_wheels_share() -> None:
     """Wheels that turn alike run on circles whose radii are in the ratio of the wheels' radii."""
-    turn = float(arc_of_radii_rad(40.0, 0.1, 0.101, 0.7))
+    turn = float(arc_of_ratio_rad(40.0, 0.101 / 0.1, 0.7))
     circle = 40.0 / turn
     assert (circle + 0.35) / (circle - 0.35) == pytest.approx(1.01, rel=1e-12)  # rounding
 
