@@ -1,6 +1,7 @@
 """Describe files, propose a mapping as commented TOML; write a blank campaign."""
 
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -18,9 +19,11 @@ from calib.campaign.ingest.contents import (
     wrapped,
 )
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
+from calib.campaign.ingest.mapping import MappedColumn
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
 from calib.campaign.ingest.proposal_table import file_lines, run_column, table_lines
 from calib.campaign.model import LOG_COLUMNS
+from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.settings import recognise
 from calib.campaign.settings_file import FORMAT, STATED, to_toml, toml_value
 from calib.documents import plain
@@ -39,6 +42,7 @@ _OF_RUNS: Final = frozenset(
 )
 #: times further apart are of runs, not of a log's samples
 _SHORTEST_RUN_S: Final = 5.0
+_OF_SPEEDS: Final = {"counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',)}
 #: counted instead of two rear wheels -> key of the settings -> its lines, empty for the usual line
 _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     "counts_rear_left": {
@@ -50,10 +54,11 @@ _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
         "wheel_radius_m": ("", "#front_wheel_radius_m =   # nominal"),
         "counts_per_rev": ("", "#counts_per_rev_front =   # of the front wheel, where it differs"),
     },
-    "speed_left_mps": {"counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',)},
+    "speed_left_mps": _OF_SPEEDS,
+    "v_mps": _OF_SPEEDS,
     "speed_rear_mps": {
         "drive": ('drive = "ackermann"   # one speed of the rear axle; front wheels that steer',),
-        "counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',),
+        **_OF_SPEEDS,
     },
 }
 
@@ -195,9 +200,9 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
     others = {"drive": (drives,), "counts_per_rev": ("",), **_OTHER_WHEELS.get(wheels, {})}
     if any(SKID_STEER in line for line in turned):
         others["drive"] = ('drive = "skid"   # both wheels of a side turn alike',)
-    as_angles = bool(turned) and all(re.search(r'unit = "(rad|deg|turns|rpm)', line) for line in turned)
+    as_angles = bool(turned) and all(map(_uncounted, turned))
     if as_angles and wheels != "speed_rear_mps":
-        resolution = "counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in"
+        resolution = "counts_per_rev = 4096   # no wheel gives counts: the resolution that they are kept in"
         others["counts_per_rev"] = (resolution,)
     if bits:
         others["counts_per_rev"] += (f"wrap_bits = {bits}   # found in the jumps of the counters",)
@@ -210,6 +215,12 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
             [meaning] = re.findall(rf"^#{key} .*# (.*)", _blank_settings(), re.MULTILINE)
             lines += [line or f"#{key} =   # {meaning}" for line in others.get(key, ("",))]
     return lines
+
+
+def _uncounted(line: str) -> bool:
+    (source,) = tomllib.loads(line).values()
+    column = MappedColumn.model_validate(source if isinstance(source, dict) else {"column": source})
+    return COUNT_UNITS[column.wheel_unit][0] in {"angle", "rate", "length"}
 
 
 def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:

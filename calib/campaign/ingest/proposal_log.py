@@ -52,6 +52,7 @@ _COUPLED: Final = 0.02
 #: of the spans of the others: of a vertical axis
 _LEVEL: Final = 0.1
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
+_TWIST: Final = ("v_mps", "omega_radps")
 #: end of the name of a quaternion's z: no heading
 _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
 _BESIDE: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
@@ -137,10 +138,14 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
 
 
 def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
-    # speeds of one wheel or beside counts are dropped; returned is a bearing taken as heading
-    counted = any(name.startswith("counts_") for name in found)
-    for name in _SPEEDS if counted or not {*_SPEEDS} <= set(found) else ():
-        found.pop(name, None)
+    # speeds beside counts, or one of two, are dropped; returned is a bearing taken as heading
+    known = any(name.startswith("counts_") for name in found)
+    if not known and _TWIST[0] in found and _TWIST[1] not in found and "gyro_z_radps" in found:
+        found[_TWIST[1]] = found.pop("gyro_z_radps")
+    for pair in (_SPEEDS, _TWIST):
+        for name in pair if known or not {*pair} <= set(found) else ():
+            found.pop(name, None)
+        known = known or pair[0] in found
     bearing = found.pop("bearing_rad", None)
     # beside a steered wheel an angle may be the steering's
     steers = "counts_front" in found and "steer_rad" not in found

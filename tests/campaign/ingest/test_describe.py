@@ -147,7 +147,7 @@ def test_a_skid_steered_robot_is_proposed_with_its_drive(tmp_path: Path) -> None
     text = describe([_write_bag(tmp_path / "bag", messages)]).to_toml()
     for line in (
         'drive = "skid"   # both wheels of a side turn alike',
-        "counts_per_rev = 4096   # the wheels are angles: the resolution that they are kept in",
+        "counts_per_rev = 4096   # no wheel gives counts: the resolution that they are kept in",
         'ref_x_m = "/vicon/jackal[map>jackal]:x"',
         "#     /vicon/jackal[map>jackal]:x: 0 to 0.79 m",
     ):

@@ -407,6 +407,8 @@ LOG: dict[str, tuple[str, ...]] = {
         "tof",
         "Laser [mm]",
     ),
+    "v_mps": ("v", "speed", "linear_velocity", "lin_vel", "twist.linear.x", "velocity", "v_x", "vx", "odom_v"),
+    "omega_radps": ("omega", "w", "angular_velocity", "ang_vel", "twist.angular.z", "omega [rad/s]"),
 }
 #: no column of calib's
 NO_TABLE = (

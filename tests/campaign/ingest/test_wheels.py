@@ -100,6 +100,19 @@ def test_what_wheels_turn_or_roll_is_found_in_any_order_of_words(tmp_path: Path)
     assert not [name for name in NO_WHEELS if (guessed_log_column(name) or "").startswith(("counts_", "speed_"))]
 
 
+def test_speed_and_rate_of_the_vehicle_are_taken_where_no_wheel_is(tmp_path: Path) -> None:
+    """Both or neither: beside counts the one is a set speed, the other a gyro's rate."""
+    time, left, right = _turned()
+    twist = {"t_s": time, "speed": 0.5 + 0.01 * np.sin(time), "yaw_rate": 0.3 * np.sin(time)}
+    text = describe([_log(tmp_path / "twist.csv", twist)]).to_toml()
+    assert 'v_mps = {column = "speed", unit = "mps"}' in text
+    assert 'omega_radps = {column = "yaw_rate", unit = "radps"}' in text
+    assert 'kind = "speed"' in text
+    text = describe([_log(tmp_path / "both.csv", twist | {"enc_l": left, "enc_r": right})]).to_toml()
+    assert "v_mps" not in text
+    assert 'gyro_z_radps = {column = "yaw_rate", unit = "radps"}' in text
+
+
 @pytest.mark.parametrize("unit", ["m", "cm", "mm"])
 def test_what_wheels_rolled_becomes_counts_of_the_nominal_radius(unit: str, tmp_path: Path) -> None:
     """A wheel of 0.08 m and 4096 counts rolls 2 pi 0.08 m a revolution, in logs and in run tables."""
