@@ -181,7 +181,7 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
         lines += ["", "[reference]", "#sigma_xy_m =   # standard uncertainty of a position"]
         lines += ["#sigma_theta_rad =   # standard uncertainty of a heading"]
     if table is not None:
-        lines += ["", f"{'[table]':27}# calib's column = the table's column", *table_lines(table, numbered=not logs)]
+        lines += ["", f"{'[table]':27}# calib's column = the table's column", *table_lines(table, logs)]
     if logs:
         lines += ["", f"{'[log]':27}# the same for logs and recordings", *file_lines(table, logs), *own]
     recordings = [log for log in logs if log.recording]

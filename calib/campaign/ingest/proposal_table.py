@@ -45,8 +45,8 @@ _MOMENTS: Final = (
 )
 
 
-def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
-    """Return the lines for the run table's columns, and remarks on the others; `numbered`: nameless runs may be."""
+def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
+    """Return the lines for the run table's columns, and remarks on the others; runs without `logs` may be nameless."""
     lines = _place_lines(table)
     left: dict[str, list[str]] = {"recognised by their names": [], "kept as covariates": [], "not used": []}
     sessions = [column for column in table.columns if guessed_table_column(column.name) == "session"]
@@ -54,6 +54,7 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
     # a date is the session where nothing else is
     passed_over = dates if len(sessions) > len(dates) else []
     targets = _targets(table)
+    targets |= {one.name: "log" for one in table.columns if targets[one.name] != "run_id" and _names(one, logs)}
     if set(WHEEL_LOADS) & set(targets.values()):
         passed_over = [*passed_over, *(column for column in table.columns if targets[column.name] == _AXLE)]
     readings = _reading_lines(table.columns)
@@ -87,12 +88,18 @@ def table_lines(table: FileContents, *, numbered: bool = False) -> list[str]:
         lines += _sheet_lines(table.alike_sheets, named)
     if "run_id" not in named:
         number = 'run_id = {value = "r{n:03}"}   # no column names the runs: they are numbered'
-        lines.append(number if numbered else '#run_id = ""   # the column that names the runs')
+        lines.append(number if not logs else '#run_id = ""   # the column that names the runs')
     if "kind" not in named:
         lines.append('kind = {value = "corridor"}   # the route, where the table does not say')
     for what, names in left.items():
         lines += [f"# {what}: {', '.join(names)[:110]}"] if names else []
     return lines
+
+
+def _names(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
+    names = {name.lower() for log in logs for name in (Path(log.name).name, Path(log.name).stem)}
+    given = [text.replace("\\", "/").rpartition("/")[2].lower() in names for text in column.texts]
+    return 2 * sum(given) > len(given)
 
 
 def _targets(table: FileContents) -> dict[str, str | None]:
@@ -258,7 +265,7 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
     if several := files_of_a_run(logs):
         files = {tag: pattern for tag, (pattern, _) in several.items()}
         lines = [f"files = {toml_value(files)}   # the files of a run, joined by time"]
-    elif table is None or len(logs) < 2 or (run_ids and run_ids[0] in stems):
+    elif table is None or len(logs) < 2 or any(_names(column, logs) for column in table.columns):
         return []
     elif pattern := name_pattern(stems):
         lines = [f"file = {toml_value(pattern + Path(logs[0].name).suffix)}"]

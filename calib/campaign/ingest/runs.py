@@ -258,7 +258,12 @@ def match_logs(
             wanted = (expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
             if not wanted and named is not None:
                 continue
-            fitting = [path for path in files if (fits_name(path.name, wanted) if wanted else path.stem == run_id)]
+            names = [wanted] if named is None else [wanted, f"{wanted}.*"]
+            fitting = [
+                path
+                for path in files
+                if (any(fits_name(path.name, name) for name in names) if wanted else path.stem == run_id)
+            ]
             if len(fitting) > 1:
                 raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
             if fitting:

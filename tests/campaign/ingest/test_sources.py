@@ -13,6 +13,7 @@ from calib.campaign.ingest.describe import describe
 from calib.campaign.ingest.mapping import LogSection, MappedColumn, expected_name, fits_name, unit_spelled, units_for
 from calib.campaign.ingest.proposal_table import name_pattern
 from calib.campaign.model import Campaign
+from calib.campaign.read import log_totals
 from calib.errors import CalibError
 from calib.types import GRAVITY_MPS2, SUFFIXES, unit_named
 
@@ -129,6 +130,25 @@ def test_rows_at_the_end_that_name_no_run_are_omitted(tmp_path: Path) -> None:
 )
 def test_names_of_logs_may_hold_a_time(wanted: str, name: str, fits: bool) -> None:
     assert fits_name(name, wanted) == fits
+
+
+@pytest.mark.parametrize("given", ["{stem}.csv", "{stem}", "data\\\\day 1\\\\{stem}.csv"])
+def test_a_column_of_the_names_of_logs_is_taken_for_them(given: str, tmp_path: Path) -> None:
+    """Each run has the log that its row names, whatever the column is called."""
+    rows, logs = ["No;Filename;Dist [m]"], []
+    for number in range(4):
+        stem = f"2026-11-2{number}_10-3{number}-22_drive"
+        rows.append(f"{number + 1};{given.format(stem=stem)};{10 + number}")
+        logs.append(tmp_path / f"{stem}.csv")
+        logs[-1].write_text("t_s,enc_l,enc_r\n" + "".join(f"{at},{at * (number + 2)},{at * 9}\n" for at in range(30)))
+    (tmp_path / "runs.csv").write_text("\n".join(rows) + "\n")
+    sources = [tmp_path / "runs.csv", *logs[::-1]]
+    proposed = describe(sources).to_toml()
+    assert 'log = "Filename"' in proposed
+    assert "file =" not in proposed
+    (tmp_path / "m.toml").write_text(proposed)
+    campaign = ingest(sources, tmp_path / "c", mapping=tmp_path / "m.toml").campaign
+    assert log_totals(campaign.logs, "counts_left").tolist() == [29.0 * (number + 2) for number in range(4)]
 
 
 @pytest.mark.parametrize(
