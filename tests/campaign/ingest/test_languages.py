@@ -105,7 +105,8 @@ def test_forces_on_wheels_are_found(left: str, right: str, target: str) -> None:
         ("enc:battery_mV", None),
         ("servo_deg", "steer_rad"),
         ("grid", None),
-        ("speed", None),
+        ("speed", "v_mps"),
+        ("loop_time", None),
     ],
 )
 def test_columns_of_logs_are_found(name: str, target: str | None) -> None:

@@ -134,7 +134,7 @@ def test_names_of_logs_may_hold_a_time(wanted: str, name: str, fits: bool) -> No
 
 @pytest.mark.parametrize("given", ["{stem}.csv", "{stem}", "data\\\\day 1\\\\{stem}.csv"])
 def test_a_column_of_the_names_of_logs_is_taken_for_them(given: str, tmp_path: Path) -> None:
-    """Each run has the log that its row names, whatever the column is called."""
+    """Each run has the log that its row names, by any name of the column."""
     rows, logs = ["No;Filename;Dist [m]"], []
     for number in range(4):
         stem = f"2026-11-2{number}_10-3{number}-22_drive"
