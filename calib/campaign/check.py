@@ -147,10 +147,11 @@ Check = Callable[[Campaign], Iterator[Note]]
 
 _IN_ORDER: Final[tuple[Check, ...]] = (
     design.assumed_values, measurements.missing_values, measurements.distance_span,
-    measurements.distance_against_log, poses.distance_against_pose, counts.reversed_wheels, counts.dead_counters,
-    counts.count_scale, counts.counts_against_log, settings.late_logs, settings.counts_per_revolution,
-    settings.log_clock, settings.heading_turns, settings.odd_runs, settings.unused_slopes, settings.pose_resolution,
-    settings.rounded_values, settings.shifted_sessions,
+    measurements.distance_against_log, poses.distance_against_pose,
+    counts.reversed_wheels, counts.dead_counters, counts.count_scale, counts.counts_against_log,
+    settings.late_logs, settings.counts_per_revolution, settings.log_clock, settings.heading_turns,
+    settings.odd_runs, settings.unused_slopes, settings.pose_resolution,
+    settings.rounded_values, settings.copied_distances, settings.shifted_sessions,
     counts.swapped_wheels, counts.turn_direction, counts.clock, counts.count_jumps,
     counts.log_speed, counts.steered_by_itself, poses.lost_reference,
     design.far_from_repeats, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,

@@ -47,6 +47,10 @@ FEW_OUTLIERS: Final = 0.1
 MANY_OUTLIERS: Final = 0.25
 #: a reference nearer to the nominal odometry than this share of the distance is a copy of it: 24 um in 8 m
 COPIED_SHARE: Final = 3e-6
+#: or, where its wheels were counted, within so many counts: each of two begins and ends within one; a coarser count
+#: may hide more
+COPIED_COUNTS: Final = 2.0
+FINE_M: Final = 2e-4
 #: heading residuals are not held against a smaller turn, mostly chance in the reference's heading
 LEAST_ROTATION_RAD: Final = 1.0
 
@@ -343,6 +347,16 @@ LENGTHS_ALONE: Final = (
 )
 
 
+def _copied(fitted: Fitted, whole: Model, position: Residuals) -> bool:
+    share_m = COPIED_SHARE * position.travelled
+    if not 0.0 < position.before < max(share_m, COPIED_COUNTS * FINE_M):
+        return False
+    rolled_rad = np.abs(whole.recording.steps.turned_rad)
+    radius_m = max(row.nominal for row in fitted.parameters.items if "radius" in row.name)
+    count_m = radius_m * float(rolled_rad[rolled_rad > 0.0].min(initial=np.inf))
+    return position.before < max(share_m, COPIED_COUNTS * min(count_m, FINE_M))
+
+
 def _further(
     fitted: Fitted, whole: Model, outliers: Sequence[str], large: BoolArray, position: Residuals, heading: Residuals
 ) -> Iterator[str]:
@@ -363,11 +377,11 @@ def _further(
             f"{few_digits(1e3 * rolled)} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), "
             "or the reference's positions are wrong"
         )
-    if 0.0 < position.before < COPIED_SHARE * position.travelled:
+    if _copied(fitted, whole, position):
         # no instrument agrees that well
         yield (
-            f"position: the reference agrees with the nominal odometry within {1e6 * position.before:.2g} um: it was "
-            "computed from the counts; give poses of an instrument of its own"
+            f"position: the reference agrees with the nominal odometry within {few_digits(1e6 * position.before)} um: "
+            "it was computed from the counts; give poses of an instrument of its own"
         )
     if whole.recording.lengths_alone and {"radius_left_m", "radius_right_m"} & set(fitted.parameters.free_names):
         yield LENGTHS_ALONE

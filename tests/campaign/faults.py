@@ -306,6 +306,12 @@ def in_feet(made: Campaign) -> Campaign:
     return with_numbers(made, **{name: made.runs.number(name) / 0.3048 for name in ("ref_x_m", "ref_y_m")})
 
 
+def _by_odometer(made: Campaign) -> Campaign:
+    counts = made.runs.number("counts_left") + made.runs.number("counts_right")
+    made = replace(made, simulated=False)
+    return with_numbers(made, distance_m=np.round(0.5 * counts / made.encoder.per_rev("left") * 0.628, 4))
+
+
 # check, code, level, fault, the run that must be named ("" for the whole campaign)
 FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("missing_values", "missing_counts", "suspicious", number("counts_left", lambda _: np.nan, 4), ""),
@@ -378,6 +384,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("odd_runs", "odd_run", "suspicious", lambda m: number("ref_x_m", lambda x: 1e3 * x, 4)(wandering(m)), "r004"),
     ("heading_turns", "heading_turn", "suspicious", _heading_a_turn_off, "r004"),
     ("pose_resolution", "pose_resolution", "suspicious", _single_precision, ""),
+    ("copied_distances", "copied_distance", "suspicious", _by_odometer, ""),
     ("rounded_values", "rounded_values", "suspicious", number("distance_m", lambda d: np.round(d, 1)), ""),
     ("rounded_values", "rounded_values", "suspicious", number("counts_left", lambda c: np.round(c, -3)), ""),
     ("shifted_sessions", "shifted_sessions", "suspicious", _shifted_sessions, ""),

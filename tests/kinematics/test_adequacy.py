@@ -275,3 +275,15 @@ def test_the_number_of_outliers_is_that_of_the_list(monkeypatch: pytest.MonkeyPa
     for n_large, beside in ((10, ""), (9, ", 9 by more than 0.5 % of way or rotation")):
         said = [*adequacy._further(fitted, model, names[:10], np.arange(24) < n_large, left, left)]
         assert said == [f"10 of 24 runs are outliers{beside}: look at their references, times and counts"]
+
+
+def test_a_reference_computed_from_the_counts_is_none_however_it_was_rounded(tmp_path: Path) -> None:
+    """Poses of the nominal odometry, written to 0.1 mm: they are off by less than two counts of 0.08 mm."""
+    recording = plant.differential(np.random.default_rng(0))
+    DIFFERENTIAL["reference by the vehicle's own odometry"](recording)
+    for run in recording.runs:
+        run.log |= {name: np.round(run.log[name], 4) for name in ("ref_x_m", "ref_y_m")}
+        run.log["ref_theta_rad"] = np.round(run.log["ref_theta_rad"], 5)
+    found = estimate_geometry(read_campaign(plant.write(recording, tmp_path / "c")))
+    assert found.verdict is not GeometryVerdict.CALIBRATED
+    assert "computed from the counts" in " ".join(found.why)

@@ -1,4 +1,4 @@
-"""What changes every answer and shows in no cell: counts per revolution, clocks, late logs, rounded values."""
+"""What changes every answer and shows in no cell: counts per revolution, clocks, late logs, copied values."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -245,6 +245,27 @@ def _coarse_step(values: FloatArray, resolution: float) -> float | None:
         return None
     multiples = steps / steps.min()
     return float(steps.min()) if np.abs(multiples - np.round(multiples)).max() < STEP_ERROR else None
+
+
+#: by an instrument a distance scatters by more than this part of its uncertainty about what the wheels rolled
+_COPIED: Final = 0.25
+
+
+def copied_distances(campaign: Campaign) -> Iterator[Note]:
+    """Find distances that were computed from the wheels' counts, as an odometer's."""
+    distance, radii = campaign.runs.number("distance_m"), [raw_radius_ratio(campaign, side) for side in SIDES]
+    ratio = np.where(campaign.runs.label("loop") != CLOSED, 2.0 / (1.0 / radii[0] + 1.0 / radii[1]), np.nan)
+    known = np.isfinite(ratio)
+    # a program's distances may have no noise
+    if known.sum() < 2 * LEAST_RUNS or campaign.simulated:
+        return
+    usual = float(np.mean(ratio[known]))
+    sigma_m = campaign.rangefinder.sigma_m
+    left_m = float(np.std(distance[known] * (ratio[known] / usual - 1.0)))
+    if left_m < _COPIED * (sigma_m := campaign.rangefinder.sigma_m):
+        text = f"""the distances are what the wheels rolled to within {1e3 * left_m:.2g} mm, at any load; expected
+            scatter of {1e3 * sigma_m:.2g} mm; an odometer's say nothing of the radii: give those of the rangefinder"""
+        yield column_note("distance_m", text, "copied_distance")
 
 
 def shifted_sessions(campaign: Campaign) -> Iterator[Note]:

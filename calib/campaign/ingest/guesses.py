@@ -29,14 +29,14 @@ _AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")
 _AXLES: Final = {"f": "front", "r": "rear", "b": "rear"}
 _SIDES: Final = {
     "left": re.compile(
-        r"(?:^|_)([rh]?l|li|left|links|linkes|linker|lhs|g|gauche|izq|izquierd[ao]|sx|sinistr[ao])(?=_|$)"
+        r"(?:^|_)([rh]?l|li|left|links|linkes|linker|lhs|g|gauche|izq|izquierd[ao]|sx|sinistr[ao]|vae?nster|lew[aey]|esquerd[ao])(?=_|$)"
     ),
     "right": re.compile(
-        r"(?:^|_)([rh]?r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao])(?=_|$)"
+        r"(?:^|_)([rh]?r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao]|hoe?ger|praw[aey]|direit[ao])(?=_|$)"
     ),
 }
 
-_UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
+_UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ø": "oe", "ł": "l"})
 
 
 @cache
@@ -162,9 +162,11 @@ def _wheel_of(name: str) -> str | None:
 
 
 def _matching(stem: str, unit: str | None, section: str) -> str | None:
-    force, no_wheel = (_names()["parts"][part] for part in ("force", "no_wheel"))
+    force, no_wheel, not_measured = (_names()["parts"][part] for part in ("force", "no_wheel", "not_measured"))
     for target, pattern in _names()[section].items():
         if not re.fullmatch(pattern, stem) or (target.startswith("counts_") and re.search(no_wheel, stem)):
+            continue
+        if target.startswith(("distance_", "range_", "load_", "ref_")) and re.search(not_measured, stem):
             continue
         if target.startswith("load_") and unit is None and not re.search(f"las|loa|^f|(^|_){force}(_|$)", stem):
             # a side alone is a wheel of any kind
@@ -174,6 +176,11 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
         if unit is None or (target.startswith("counts_") and "mps" not in SUFFIXES[unit]) or unit in units_for(target):
             return target
     return None
+
+
+def by_rangefinder(name: str) -> bool:
+    """Return whether a column says that an instrument measured its lengths: preferred to one that does not."""
+    return re.search(r"laser|disto|leica|range|gemessen|measured|true|tape", stem_and_unit(name)[0]) is not None
 
 
 def side_of(name: str) -> str | None:

@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest.contents import ColumnContents, FileContents
-from calib.campaign.ingest.guesses import BEHAVIOURS, RISES, count_unit, guessed_log_column, side_of, stem_and_unit
+from calib.campaign.ingest.guesses import (
+    BEHAVIOURS,
+    RISES,
+    by_rangefinder,
+    count_unit,
+    guessed_log_column,
+    side_of,
+    stem_and_unit,
+)
 from calib.campaign.ingest.mapping import MappedColumn
 from calib.campaign.ingest.proposal_table import entry, files_of_a_run, unit_remark
 from calib.campaign.model import LOG_COLUMNS
@@ -55,6 +63,7 @@ _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
 _TWIST: Final = ("v_mps", "omega_radps")
 #: end of the name of a quaternion's z: no heading
 _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
+_NO_TRACKER: Final = re.compile(r"((robot|base)_)?(pose?|pos(ition)?)?_?(x|y|theta|yaw|heading)")
 _BESIDE: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
 #: remark on its coupled wheels
 SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
@@ -112,8 +121,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     kinds = {stream.kind: stream for stream in reversed(log.streams)}
     reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
     found: dict[str, ColumnContents] = {}
-    # a joint's rate is taken where its position is missing
-    for column in sorted(columns, key=lambda column: _RATE in column.name):
+    for column in sorted(columns, key=_preference):
         target = guessed_log_column(column.name)
         if target and target not in found and _may_be(target, column, streams.get(column.name), reference):
             found[target] = column
@@ -127,7 +135,9 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         lines.append(entry("t_s", clock, _time_unit(clock)) + "   # rises in even steps; s, ms, us, ns")
         columns.remove(clock)
     for target, column in found.items():
-        if target == "ref_x_m" and ("pose.pose" in column.name or (reference and reference.kind == _ODOMETRY)):
+        # in the log of the wheels a pose without the name of a tracker may be the vehicle's own
+        own = not log.recording and _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0])
+        if target == "ref_x_m" and (own or "pose.pose" in column.name or (reference and reference.kind == _ODOMETRY)):
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
             lines.append(_line(target, column, log) + (_BESIDE if column is bearing else ""))
@@ -135,6 +145,12 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
             lines[-1] = _quaternion_line(column, columns)
     lines += _wheel_lines(found, columns, streams)
     return sorted(lines, key=lambda line: not line.startswith("t_s")), found
+
+
+def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
+    # a joint's rate, a pose of no tracker and a length of no instrument are taken where nothing better is there
+    no_tracker = _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None
+    return _RATE in column.name, no_tracker, not by_rangefinder(column.name)
 
 
 def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:

@@ -33,6 +33,8 @@ def unit_remark(name: str) -> str:
 
 #: payloads lie no further from the axle
 _LONGEST_M: Final = 3.0
+#: numbers below it are as likely masses of wheels in kg as the loads of a robot of 30 kg, and no other column tells
+_LIGHT_N: Final = 150.0
 #: the load of both rear wheels
 _AXLE: Final = "load_axle_N"
 #: date and time in a file's name -> how a mapping writes them
@@ -57,6 +59,12 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
     targets |= {one.name: "log" for one in table.columns if targets[one.name] != "run_id" and _names(one, logs)}
     if set(WHEEL_LOADS) & set(targets.values()):
         passed_over = [*passed_over, *(column for column in table.columns if targets[column.name] == _AXLE)]
+    # what an instrument measured, beside what only says a length
+    measured = [c for c in table.columns if targets[c.name] == "distance_m" and guesses.by_rangefinder(c.name)]
+    passed_over = [
+        *passed_over,
+        *(c for c in table.columns if measured and targets[c.name] == "distance_m" and c not in measured),
+    ]
     readings = _reading_lines(table.columns)
     lines += readings.values()
     named = {*readings}
@@ -197,6 +205,8 @@ def _column_line(column: ColumnContents, name: str, further: dict[str, object] |
             unit, remark = "turns", "   # not whole: turns, rad, deg"
     elif needs and unit is None:
         unit, remark = needs, unit_remark(name)
+        if name.startswith("load_") and (column.high or 0.0) < _LIGHT_N:
+            return f"#{entry(name, column, unit, further)}{remark}: state it"
     return entry(name, column, unit, further) + remark
 
 

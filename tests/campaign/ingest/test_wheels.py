@@ -100,6 +100,35 @@ def test_what_wheels_turn_or_roll_is_found_in_any_order_of_words(tmp_path: Path)
     assert not [name for name in NO_WHEELS if (guessed_log_column(name) or "").startswith(("counts_", "speed_"))]
 
 
+def test_what_no_instrument_measured_is_no_distance(tmp_path: Path) -> None:
+    """An odometer's distances, and commanded ones, give way to the laser's; the unit of small loads is to be stated."""
+    table = (
+        "Run;dist_odo_m;Sollstrecke [m];{};Last links;Last rechts\nr1;9.9;10;9.95;21.4;19.3\nr2;8.9;9;8.95;36.7;34.6\n"
+    )
+    (tmp_path / "runs.csv").write_text(table.format("dist_laser_m"))
+    proposed = describe([tmp_path / "runs.csv"]).to_toml()
+    assert 'distance_m = {column = "dist_laser_m", unit = "m"}' in proposed
+    assert '#load_left_N = {column = "Last links", unit = "N"}   # names no unit: kg, g' in proposed
+    (tmp_path / "runs.csv").write_text(table.format("Remark"))
+    assert "\ndistance_m" not in describe([tmp_path / "runs.csv"]).to_toml()
+    time, left, right = _turned()
+    log = {
+        "t_s": time,
+        "enc_l": left,
+        "enc_r": right,
+        "distance": 1e-3 * left,
+        "laser": 1e-3 * left + 0.3,
+        "x": left,
+        "y": right,
+    }
+    text = describe([_log(tmp_path / "l.csv", log)]).to_toml()
+    assert 'range_m = {column = "laser"' in text
+    assert "# wheel odometry is no reference: keep these lines only if it measures from outside" in text
+    log |= {"yaw": 1e-3 * left, "gt_x": left, "gt_y": right, "gt_yaw": 1e-3 * left}
+    text = describe([_log(tmp_path / "tracked.csv", log)]).to_toml()
+    assert [name for name in ("gt_x", "gt_y", "gt_yaw") if f'{{column = "{name}", unit = ' not in text] == []
+
+
 def test_speed_and_rate_of_the_vehicle_are_taken_where_no_wheel_is(tmp_path: Path) -> None:
     """Both or neither: beside counts the one is a set speed, the other a gyro's rate."""
     time, left, right = _turned()
