@@ -18,7 +18,7 @@ from calib.campaign.readers.recording import Recording, Stream
 from calib.campaign.readers.sheets import COUNT_UNITS, unit_spelled
 from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import bracketed, recognise, spelled
-from calib.types import SUFFIXES, BoolArray, FloatArray, floats, split_suffix
+from calib.types import SUFFIXES, BoolArray, FloatArray, floats, split_suffix, unit_named
 
 #: behind the side: left_wheel_joint, wheel_left_joint, Enc_L_raw
 _BEHIND: Final = re.compile(
@@ -29,10 +29,10 @@ _AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")
 _AXLES: Final = {"f": "front", "r": "rear", "b": "rear"}
 _SIDES: Final = {
     "left": re.compile(
-        r"(?:^|_)([rh]?l|li|left|links|linkes|linker|lhs|g|gauche|izq|izquierd[ao]|sx|sinistr[ao]|vae?nster|lew[aey]|esquerd[ao])(?=_|$)"
+        r"(?:^|_)([rh]?l|li|left|links|linkes|linker|lhs|g|gauche|izq|izquierd[ao]|sx|sinistr[ao]|vae?nster|lew[a-z]*|esquerd[ao]|lh|port)(?=_|$)"
     ),
     "right": re.compile(
-        r"(?:^|_)([rh]?r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao]|hoe?ger|praw[aey]|direit[ao])(?=_|$)"
+        r"(?:^|_)([rh]?r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao]|hoe?ger|praw[a-z]*|direit[ao]|rh|stbd|starboard)(?=_|$)"
     ),
 }
 
@@ -77,7 +77,11 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
 
     `name`: ``Strecke [mm]``, ``Weg in mm`` or ``v_left_m_s``.
     """
-    in_words = re.sub(r"\s+(?:in|/)\s+(\S+)\s*$", r" [\1]", name.strip())
+    in_words = name.strip()
+    if (said := re.fullmatch(r"(.{2,}?)(?:\s+in\s+|\s*[/,]\s*|\s)([^\s/,]+)", in_words)) and unit_named(
+        said[2]
+    ) is not None:
+        in_words = f"{said[1]} [{said[2]}]"
     in_words = re.sub(r"_(mm?|km|rad|deg)_([sh])$", r" [\1/\2]", in_words)
     stem, unit = split_suffix(spelled(in_words))
     before, inside = bracketed(in_words)
@@ -117,6 +121,8 @@ def reading_of(name: str) -> tuple[str, str] | None:
         rest = [word for word in words if not re.fullmatch(parts[moment], word)]
         plain = "_".join(rest)
         target = "distance_m" if re.fullmatch(parts["rangefinder"], plain) else _matching(plain, unit, "table")
+        if count_unit(name) == "counts" and (side := side_of(plain)):
+            target = f"counts_{side}"
         if 0 < len(rest) == len(words) - 1 and target in {"distance_m", "counts_left", "counts_right"}:
             return target, moment
     return None
@@ -152,6 +158,7 @@ def _wheel_of(name: str) -> str | None:
         return {word for word in words if any(re.fullmatch(parts[part], word) for part in names)}
 
     told, speed = of("wheel", "turns", "angle", "rate", *(["rolled"] if measures == "m" else [])), of("speed")
+    told |= of("beside") if measures == "radps" else set()
     left, right = of("left"), of("right")
     others = {*words} - told - speed - of("beside") - left - right
     if len(left) + len(right) != 1 or not told or others or measures not in {"", "m", "rad", "radps", "mps"}:
@@ -171,7 +178,8 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
         if target.startswith("load_") and unit is None and not re.search(f"las|loa|^f|(^|_){force}(_|$)", stem):
             # a side alone is a wheel of any kind
             continue
-        if unit is None and target == "temperature_C" and stem == "t":
+        if unit is None and stem in {"t", "d"} and section == "table":
+            # a letter alone says little
             continue
         if unit is None or (target.startswith("counts_") and "mps" not in SUFFIXES[unit]) or unit in units_for(target):
             return target

@@ -136,8 +136,9 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         columns.remove(clock)
     for target, column in found.items():
         # in the log of the wheels a pose without the name of a tracker may be the vehicle's own
-        own = not log.recording and _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0])
-        if target == "ref_x_m" and (own or "pose.pose" in column.name or (reference and reference.kind == _ODOMETRY)):
+        own = not log.recording and _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None
+        own = own or "odom" in column.name.lower() or "pose.pose" in column.name
+        if target == "ref_x_m" and (own or (reference and reference.kind == _ODOMETRY)):
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
             lines.append(_line(target, column, log) + (_BESIDE if column is bearing else ""))
@@ -149,7 +150,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
 
 def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
     # a joint's rate, a pose of no tracker and a length of no instrument are taken where nothing better is there
-    no_tracker = _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None
+    no_tracker = _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None or "odom" in column.name.lower()
     return _RATE in column.name, no_tracker, not by_rangefinder(column.name)
 
 

@@ -72,7 +72,10 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
         if (guesses.reading_of(column.name) or ("", ""))[0] in readings:
             continue
         directions = [direction_of(text) for text in column.texts]
-        is_direction = 0 < len(directions) <= 2 and all(directions)
+        # sessions may be called A and B
+        is_direction = (
+            0 < len(directions) <= 2 and all(directions) and targets[column.name] not in {"session", "run_id"}
+        )
         name = "direction" if is_direction else targets[column.name]
         if name == "ref_theta_rad" and column.kind == "text" and len(directions) == 2:
             # a heading in words: E and W, north and south

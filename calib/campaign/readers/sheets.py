@@ -19,7 +19,7 @@ from calib.types import SUFFIXES, unit_named
 Rows = list[tuple[int, Sequence[Any]]]
 #: unit of a wheel's column -> what its numbers are, turns (or counts, metres) a unit, and other spellings in lower case
 COUNT_UNITS: Final[Mapping[str, tuple[str, float, str | None]]] = {
-    "counts": ("counts", 1.0, r"counts?|cnts?|ticks?|(im)?pulses?|in[ck]|imp"),
+    "counts": ("counts", 1.0, r"counts?|cn?ts?|ticks?|(im)?pulses?|in[ck]|imp"),
     "counts/sample": ("increments", 1.0, r"increments|(cnt|ticks)/sample|counts/step"),
     "counts/s": ("count_rate", 1.0, r"(cnt|ticks|impulse)/s"),
     "turns": ("angle", 1.0, r"turn|revs?|revolutions|umdrehungen"),

@@ -106,8 +106,6 @@ TABLE: dict[str, tuple[str, ...]] = {
     "counts_left": (
         "Counts left",
         "Encoder left",
-        "N_left",
-        "n_l",
         "ticks_left",
         "Pulse links",
         "Impulse links",
@@ -124,8 +122,6 @@ TABLE: dict[str, tuple[str, ...]] = {
         "impulsions gauche",
         "left_ticks",
         "Rad links [Ink]",
-        "N1 left",
-        "nL",
         "Ticks L",
         "Left wheel ticks",
         "left wheel counts",
@@ -539,9 +535,48 @@ NO_LOG = (
     "cross_track_error [m]",
 )
 
+#: with another order of words, unit or language
+FURTHER_TABLE: dict[str, tuple[str, ...]] = {
+    "run_id": ("Nr przejazdu", "Prov", "Rit"),
+    "session": ("Sesja", "Shift", "Dzień"),
+    "direction": ("Riktning", "Kierunek"),
+    "load_left_N": (
+        "Weight on L wheel (g)",
+        "LH wheel [N]",
+        "Normal force LW (kN)",
+        "F_z left (N)",
+        "Axle load port, N",
+    ),
+    "load_right_N": ("Kraft rechts/N", "Nacisk koła prawego [N]", "Last höger (N)", "Axle load stbd, N", "F right [N]"),
+    "distance_m": (
+        "Tape distance (m)",
+        "Travel, ft",
+        "Afgelegde weg [mm]",
+        "Laserstrecke/mm",
+        "S_ref (m)",
+        "Droga [m]",
+    ),
+    "ref_x_m": ("X finale [mm]",),
+}
+FURTHER_LOG: dict[str, tuple[str, ...]] = {
+    "t_s": ("czas [s]", "tijdstip", "tid_us", "Zeit/s"),
+    "counts_left": ("hoek links", "przyrost lewy", "afstand_linkerwiel_m", "ticks_port", "meas_left_radps"),
+    "speed_right_mps": ("v_RW [m/s]",),
+    "counts_front": ("Drehgeber Vorderrad [Ink]",),
+    "counts_rear": ("codeur_arbre",),
+    "ref_x_m": ("Ost/mm", "mc_x"),
+    "ref_theta_rad": ("mocap_lacet_deg", "Ref Gierwinkel [Grad]"),
+}
+
 
 @pytest.mark.parametrize(
-    ("names", "others", "guessed"), [(TABLE, NO_TABLE, guessed_table_column), (LOG, NO_LOG, guessed_log_column)]
+    ("names", "others", "guessed"),
+    [
+        (TABLE, NO_TABLE, guessed_table_column),
+        (LOG, NO_LOG, guessed_log_column),
+        (FURTHER_TABLE, ("Distance commanded [m]", "Sollstrecke [m]", "N_left"), guessed_table_column),
+        (FURTHER_LOG, ("cmd_left_radps", "current_left_A"), guessed_log_column),
+    ],
 )
 def test_names_of_columns(
     names: dict[str, tuple[str, ...]], others: tuple[str, ...], guessed: Callable[[str], str | None]
