@@ -366,7 +366,7 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
             return
     else:
         return
-    swapped = "do counts fall ahead, is steer_rad" if steered else "are the wheels' counts swapped,"
+    swapped = "do counts fall driving ahead, is steer_rad" if steered else "are the wheels' counts swapped,"
     text = f"""the headings turn against the counts ({ratio:.3g} times); expected the same sense; {swapped} or is
         ref_theta_rad positive to the right?"""
     yield implausible_column(columns, text)

@@ -124,21 +124,21 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
             yield design.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
 
 
-#: factors of turns by left wheel, right wheel and reference -> what they make good
+#: factors of turns by left wheel, right wheel and reference, and what they make good
 Senses = tuple[tuple[float, float, float, str], ...]
-_SENSES: Final = (
+_SENSES: Final[Senses] = (
     (1.0, 1.0, 1.0, ""),
     (-1.0, 1.0, 1.0, "the left wheel counts backwards; negate counts_left"),
     (1.0, -1.0, 1.0, "the right wheel counts backwards; negate counts_right"),
     (1.0, 1.0, np.pi / 180.0, "the headings are in degrees; name the column ref_theta_deg"),
 )
-_STEERED_SENSES: Final = (
+_STEERED_SENSES: Final[Senses] = (
     _SENSES[0],
     (1.0, 1.0, -1.0, "steer_rad or ref_theta_rad is positive to the right; negate it, or the counts, if they fall"),
-    (1.0, 1.0, np.pi / 180.0, "the headings are in degrees; name the column ref_theta_deg"),
+    _SENSES[-1],
 )
-#: no angle is steered or wraps beyond, in rad
-_MOST_STEERED_RAD: Final = 2.0 * np.pi
+#: no angle is steered beyond, in rad, nor is one that wraps; single samples may be a sensor's faults
+_MOST_STEERED_RAD, _SINGLE_SAMPLES = 2.0 * np.pi, 0.01
 #: headings and counts are this far apart, and this share of it where it is made good
 _APART_RAD, _MADE_GOOD = 1.0, 0.1
 #: of one run, no more than noise, radii and track make: else its log is another's
@@ -147,14 +147,16 @@ _SINGLE_RAD, _SINGLE_SHARE = 0.05, 0.06
 
 def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     """Yield wheels that count backwards and headings in degrees, of all runs or a session, by how far these turn."""
-    steer_rad = campaign.logs.columns.get("steer_rad", np.zeros(0))
-    if (beyond := np.abs(steer_rad) > _MOST_STEERED_RAD).any():
-        text = f"""found {np.nanmax(np.abs(steer_rad)):.3g} rad, and {beyond.sum()} sample(s) beyond a whole turn;
-            expected less; are they in degrees (name the column steer_deg), or of the steering wheel?"""
+    steered = odometry_source(campaign) in STEERED
+    angle_rad = np.abs(campaign.logs.columns.get("steer_rad", np.zeros(0)) if steered else np.zeros(0))
+    if (beyond := angle_rad > _MOST_STEERED_RAD).sum() > _SINGLE_SAMPLES * len(beyond):
+        text = f"""found {np.nanmax(angle_rad):.3g} rad, and {beyond.sum()} samples beyond a whole turn; expected less;
+            are they in degrees (name the column steer_deg), or of the steering wheel?"""
         yield column_note("steer_rad", text, "implausible", "wrong", "logs")
         return
     campaign = design.on_axle(campaign)
-    senses, (known, apart, _) = _senses(campaign), _apart_rad(campaign)
+    senses = _STEERED_SENSES if steered else _SENSES
+    known, apart, _ = _apart_rad(campaign, senses)
     for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
         if len(of := runs[known[runs]]) >= LEAST_RUNS and (
             words := _made_good(np.median(apart[:, of], axis=1), senses)
@@ -169,7 +171,8 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
 def odd_runs(campaign: Campaign) -> Iterator[Note]:
     """Find single runs of another sense or unit: by their headings, or ends farther away than was driven."""
     campaign = design.on_axle(campaign)
-    senses, (known, apart, turned) = _senses(campaign), _apart_rad(campaign)
+    senses = _STEERED_SENSES if odometry_source(campaign) in STEERED else _SENSES
+    known, apart, turned = _apart_rad(campaign, senses)
     by = np.array([each for *_, each, _ in senses])[apart.argmin(axis=0)]
     near = np.flatnonzero(known & (apart.min(axis=0) < _SINGLE_RAD + _SINGLE_SHARE * np.abs(by * turned)))
     told = {run: words for run in near.tolist() if (words := _made_good(apart[:, run], senses))}
@@ -186,15 +189,11 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
         yield design.cell_note(campaign, run, "ref_x_m, ref_y_m", text, "odd_run")
 
 
-def _apart_rad(campaign: Campaign) -> tuple[BoolArray, FloatArray, FloatArray]:
+def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArray, FloatArray]:
     turned = design.reference_turns(campaign)[0]
     left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
-    apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in _senses(campaign)]
+    apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in senses]
     return np.isfinite(turned + left + right), np.array(apart), turned
-
-
-def _senses(campaign: Campaign) -> Senses:
-    return _STEERED_SENSES if odometry_source(campaign) in STEERED else _SENSES
 
 
 def _made_good(apart_rad: FloatArray, senses: Senses) -> str:
@@ -260,11 +259,10 @@ def copied_distances(campaign: Campaign) -> Iterator[Note]:
     if known.sum() < 2 * LEAST_RUNS or campaign.simulated:
         return
     usual = float(np.mean(ratio[known]))
-    sigma_m = campaign.rangefinder.sigma_m
     left_m = float(np.std(distance[known] * (ratio[known] / usual - 1.0)))
     if left_m < _COPIED * (sigma_m := campaign.rangefinder.sigma_m):
         text = f"""the distances are what the wheels rolled to within {1e3 * left_m:.2g} mm, at any load; expected
-            scatter of {1e3 * sigma_m:.2g} mm; an odometer's say nothing of the radii: give those of the rangefinder"""
+            scatter of {1e3 * sigma_m:.2g} mm; an odometer says nothing of the radii: give those of the rangefinder"""
         yield column_note("distance_m", text, "copied_distance")
 
 

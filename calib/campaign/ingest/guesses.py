@@ -188,7 +188,7 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
 
 def by_rangefinder(name: str) -> bool:
     """Return whether a column says that an instrument measured its lengths: preferred to one that does not."""
-    return re.search(r"laser|disto|leica|range|gemessen|measured|true|tape", stem_and_unit(name)[0]) is not None
+    return re.search(_names()["parts"]["measured"], stem_and_unit(name)[0]) is not None
 
 
 def side_of(name: str) -> str | None:

@@ -56,7 +56,7 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
     # a date is the session where nothing else is
     passed_over = dates if len(sessions) > len(dates) else []
     targets = _targets(table)
-    targets |= {one.name: "log" for one in table.columns if targets[one.name] != "run_id" and _names(one, logs)}
+    targets |= {one.name: "log" for one in table.columns if targets[one.name] != "run_id" and _names_logs(one, logs)}
     if set(WHEEL_LOADS) & set(targets.values()):
         passed_over = [*passed_over, *(column for column in table.columns if targets[column.name] == _AXLE)]
     # what an instrument measured, beside what only says a length
@@ -107,7 +107,7 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
     return lines
 
 
-def _names(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
+def _names_logs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
     names = {name.lower() for log in logs for name in (Path(log.name).name, Path(log.name).stem)}
     given = [text.replace("\\", "/").rpartition("/")[2].lower() in names for text in column.texts]
     return 2 * sum(given) > len(given)
@@ -278,7 +278,7 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
     if several := files_of_a_run(logs):
         files = {tag: pattern for tag, (pattern, _) in several.items()}
         lines = [f"files = {toml_value(files)}   # the files of a run, joined by time"]
-    elif table is None or len(logs) < 2 or any(_names(column, logs) for column in table.columns):
+    elif table is None or len(logs) < 2 or any(_names_logs(column, logs) for column in table.columns):
         return []
     elif pattern := name_pattern(stems):
         lines = [f"file = {toml_value(pattern + Path(logs[0].name).suffix)}"]

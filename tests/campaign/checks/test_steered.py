@@ -41,7 +41,7 @@ FAULTS: dict[str, tuple[Change, str]] = {
     "positions in mm": (of_reference(1e3, 1e3, 1.0), "as far away as was driven"),
     "steering in degrees": (of_column("steer_rad", np.degrees), "name the column steer_deg"),
     "steering to the right": (of_column("steer_rad", np.negative), "is steer_rad"),
-    "falling counts": (of_column("counts", np.negative), "do counts fall ahead"),
+    "falling counts": (of_column("counts", np.negative), "do counts fall driving ahead"),
     "counts with quadrature": (of_column("counts", lambda counts: 4.0 * counts), "check wheelbase_m, counts_per_rev"),
 }
 
