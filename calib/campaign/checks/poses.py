@@ -342,7 +342,7 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
     steered = "steer_rad" in columns
     # beside unequal wheels, which turn in proportion to the distance; radii that scatter with the load make small
     # headings follow the counts less than once, never more
-    theta, turned = campaign.runs.number("ref_theta_rad"), design.turned_rad(campaign)
+    theta, turned = design.reference_turns(campaign)[0], design.turned_rad(campaign)
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
     if good.sum() < 2 * LEAST_RUNS:
         return

@@ -168,8 +168,8 @@ def measure_closure(
     after, by = left_with_others(left_out, sessions=sessions)
     stated = measured_gap(nominal, nominal) if as_counted is None else as_counted
     held_out = closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
-    before = before if as_counted is None else as_counted
-    return replace(held_out, improvement=_improvement(left_out, before, after, floor_factor))
+    measured = before if as_counted is None else as_counted
+    return replace(held_out, improvement=_improvement(left_out, measured, after, floor_factor))
 
 
 def left_with_others(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:

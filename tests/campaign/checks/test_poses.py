@@ -32,6 +32,16 @@ def test_headings_along_the_path_in_degrees_are_wrong(degrees: bool, wrapped: bo
     assert [note.level for note in notes] == ["wrong"] * degrees
 
 
+@pytest.mark.parametrize(("factor", "level"), [(1.0, []), (180.0 / np.pi, ["wrong"])])
+def test_end_headings_of_loops_within_half_a_turn_are_no_fault(factor: float, level: list[str]) -> None:
+    """A table of ends has how far a square is off a whole turn, 5 degrees here; in degrees it is a fault."""
+    senses = np.array((1, -1) * 4)
+    made = campaign([("s", square(2.0, sense)) for sense in senses], Truth(), np.random.default_rng(3))
+    off_rad = factor * (made.runs.number("ref_theta_rad") - (2.0 * np.pi + 0.087) * senses)
+    runs = replace(made.runs, numbers={**made.runs.numbers, "ref_theta_rad": off_rad})
+    assert [note.level for note in implausible_poses(replace(made, runs=runs))] == level
+
+
 def _driven(change: Callable[[Columns], Columns], *runs: int) -> Campaign:
     """Squares of 2 m each way under a noisy reference, some of them changed."""
     rng, number = np.random.default_rng(2), iter(range(8))
