@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign, Logs
 from calib.campaign.settings import Encoder
-from tests.campaign.making import campaign, with_log_columns, with_numbers
+from tests.campaign.making import campaign, wandering, with_log_columns, with_numbers
 
 Fault = Callable[[Campaign], Campaign]
 
@@ -194,38 +194,6 @@ def _ranged(made: Campaign, *, cut: float) -> Campaign:
 
 def _mirrored(made: Campaign) -> Campaign:
     return with_numbers(made, ref_y_m=-made.runs.number("ref_y_m"))
-
-
-def wandering(made: Campaign, *, track_m: float = 0.7, seed: int = 3, turned: float = 0.0) -> Campaign:
-    """Nearly straight runs of a vehicle of this track, with end poses; wheels that differ anew in every run.
-
-    The heading is ``A sin(pi s / d)`` with another A in every run, and the wheels' difference is in the counts alone;
-    `turned`: standard deviation of a turn to the end, rad.
-    """
-    rng = np.random.default_rng(seed)
-    runs, logs = made.runs, made.logs
-    left, right = logs.columns["counts_left"].copy(), logs.columns["counts_right"].copy()
-    pose = np.zeros((3, len(runs)))
-    per_m = 4096 / (2 * np.pi * 0.1)
-    for run, distance in enumerate(runs.number("distance_m")):
-        here = slice(logs.offsets[run], logs.offsets[run + 1])
-        along = np.linspace(0.0, distance, logs.lengths[run])
-        heading = 0.02 * rng.standard_normal() * np.sin(np.pi * along / distance)
-        if turned:
-            heading += turned * rng.standard_normal() * along / distance
-        middle = (heading[1:] + heading[:-1]) / 2
-        pose[:, run] = np.sum(np.diff(along) * np.cos(middle)), np.sum(np.diff(along) * np.sin(middle)), heading[-1]
-        apart = track_m * heading + 1e-3 * rng.standard_normal() * along
-        left[here], right[here] = np.floor(per_m * (along - apart / 2)), np.floor(per_m * (along + apart / 2))
-    pose += np.array([[2e-3], [2e-3], [8e-4]]) * rng.standard_normal(pose.shape)
-    ends = logs.offsets[1:] - 1
-    made = with_log_columns(made, counts_left=left, counts_right=right)
-    return with_numbers(
-        made,
-        counts_left=left[ends],
-        counts_right=right[ends],
-        **dict(zip(("ref_x_m", "ref_y_m", "ref_theta_rad"), pose, strict=True)),
-    )
 
 
 def _longer(made: Campaign) -> Campaign:

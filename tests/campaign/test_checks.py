@@ -16,11 +16,10 @@ from tests.campaign.faults import (
     number,
     scaled,
     turning,
-    wandering,
     warmer_each_session,
     without_logs,
 )
-from tests.campaign.making import campaign, with_numbers
+from tests.campaign.making import campaign, wandering, with_numbers
 
 
 def test_headings_on_a_map_are_absolute() -> None:

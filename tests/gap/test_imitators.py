@@ -18,44 +18,24 @@ from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.part import as_delivered
 from calib.gap.effects.encoder import WheelEccentricity
 from calib.gap.observations.from_campaign import observations_of
-from calib.vehicle import Vehicle
-from tests.gap.effects.making import MODEL, ROUTE, SQUARE, STRAIGHT, Motion, Run, Truth, campaign, end_pose
+from tests.gap.effects.making import (
+    DIFFERENTIAL,
+    MODEL,
+    ROUTE,
+    SQUARE,
+    STRAIGHT,
+    Motion,
+    Run,
+    Truth,
+    campaign,
+    loaded,
+    noisy,
+    turned,
+)
 
-XY_M, HEADING_RAD, LASER_M = 2e-3, 1e-3, 1.5e-3
 #: of the true slope, in m/N: three times the runs' interval, a fifth of the slope itself
 SLOPE_M_PER_N = 1.5e-6
-DIFFERENTIAL = Vehicle(track_m=0.7, drive="differential")
 Diagnosing = Callable[..., Diagnosis]
-
-
-def noisy(truth: Truth, seed: int) -> Truth:
-    """A truth, with the noise of the instruments and of the wheels."""
-    rng = np.random.default_rng(seed)
-
-    def both(run: Run, now: Motion) -> None:
-        truth(run, now)
-        now.end_x_m, now.end_y_m, now.end_rad = rng.normal(0.0, (XY_M, XY_M, HEADING_RAD))
-        now.laser_m += rng.normal(0.0, LASER_M)
-        now.yaw_rad = now.yaw_rad + rng.normal(0.0, 2e-4, len(now.ds_m)) * np.sqrt(np.abs(now.ds_m))
-
-    return both
-
-
-def turned(pieces: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    return [(length, -kappa) for length, kappa in pieces]
-
-
-def loaded(n_runs: int = 24) -> list[Run]:
-    """Squares either way and straights, three payloads in each session, twice each."""
-    routes = [(SQUARE, "square_ccw"), (turned(SQUARE), "square_cw"), (STRAIGHT, "corridor")]
-    runs = []
-    for number in range(n_runs):
-        pieces, kind = routes[number % 3]
-        payload_kg = (0.0, 50.0, 100.0)[number // 3 % 3]
-        load_N = 300.0 + 0.4 * 9.81 * payload_kg
-        run = Run(pieces, kind=kind, load_left_N=load_N, load_right_N=load_N, session=f"s{1 + 2 * number // n_runs}")
-        runs.append(replace(run, front=False, numbers={"payload_kg": payload_kg}))
-    return runs
 
 
 def of_load(run: Run, now: Motion) -> None:
@@ -312,46 +292,6 @@ def test_an_eccentric_wheel_of_assumed_phase_says_what_it_assumes(diagnosing: Di
     verdict = diagnosing(with_counters_of_arcs(eccentric, kept=False), plan=False)
     assert verdict.causes[0].effect == "wheel_eccentricity"
     assert any(note.startswith("wheel_eccentricity: all counters begin alike") for note in verdict.notes)
-
-
-def stretched(share: float, seed: int, *, track: float = 0.0) -> Truth:
-    """A reference that reads every way longer by a share, beside a track that is off."""
-    truth = noisy(lambda *_: None, seed)
-
-    def both(run: Run, now: Motion) -> None:
-        truth(run, now)
-        now.track = track
-        x, y = share * end_pose(now.ds_m, now.turn_rad)[:2]
-        now.end_x_m, now.end_y_m = now.end_x_m + x, now.end_y_m + y
-
-    return both
-
-
-def test_a_reference_of_wrong_scale_is_not_three_causes_of_one_size(diagnosing: Diagnosing) -> None:
-    """Radii, track and rangefinder off by the same share would leave as little."""
-    verdict = diagnosing(campaign(loaded(), truth=stretched(5e-3, 12), vehicle=DIFFERENTIAL), plan=False)
-    assert [cause.effect for cause in verdict.causes] == ["reference_scale"]
-    assert not verdict.correction.calibration.any()
-
-
-@pytest.mark.parametrize(("track", "alike"), [(0.0, True), (5e-3, False)])
-def test_radii_and_track_off_alike_may_be_the_scale_of_a_reference_that_alone_measures(
-    track: float, alike: bool, diagnosing: Diagnosing
-) -> None:
-    """Longer ways by 0.5 % are radii and track 0.5 % larger; a track off otherwise is one."""
-    made = campaign(loaded(), truth=stretched(5e-3, 12, track=track), vehicle=DIFFERENTIAL)
-    runs = replace(made.runs, numbers={**made.runs.numbers, "distance_m": np.full(len(made.runs), np.nan)})
-    verdict = diagnosing(replace(made, runs=runs))
-    assert {cause.effect for cause in verdict.causes} == {"radius_scale", "track_width"}
-    assert verdict.recommended is not alike
-    told = [group[:3] for group in verdict.groups] == [("radius_scale", "track_width", "reference_scale")]
-    assert told is alike
-    if alike:
-        assert verdict.kind is VerdictKind.AMBIGUOUS
-        assert "(radius_scale) with a wrong track width (track_width)" in verdict.sentence
-        assert max(cause.probability for cause in verdict.causes) <= 0.5
-        assert "by tape or laser (distance_m)" in " ".join(verdict.fix.why)
-        assert verdict.next_runs[0].tape
 
 
 @pytest.mark.parametrize("n_runs", [12, 30])

@@ -18,6 +18,9 @@ from calib.vehicle import Vehicle
 TRACK_M, RADIUS_M, WHEELBASE_M = 0.7, 0.1, 1.0
 MODEL = OdometryModel(RADIUS_M, RADIUS_M, TRACK_M, 300.0)
 COUNTS = 4096.0
+DIFFERENTIAL = Vehicle(track_m=TRACK_M, drive="differential")
+#: of the instruments, standard deviations
+XY_M, HEADING_RAD, LASER_M = 2e-3, 1e-3, 1.5e-3
 Piece = tuple[float, float]
 
 
@@ -268,3 +271,33 @@ def with_outside_simulator(made: Campaign, off_m: float = 0.01) -> Campaign:
     numbers["sim_theta_rad"] = numbers["ref_theta_rad"].copy()
     numbers["sim_distance_m"] = numbers["distance_m"].copy()
     return replace(made, runs=replace(made.runs, numbers=numbers))
+
+
+def noisy(truth: Truth, seed: int) -> Truth:
+    """A truth, with the noise of the instruments and of the wheels."""
+    rng = np.random.default_rng(seed)
+
+    def both(run: Run, now: Motion) -> None:
+        truth(run, now)
+        now.end_x_m, now.end_y_m, now.end_rad = rng.normal(0.0, (XY_M, XY_M, HEADING_RAD))
+        now.laser_m += rng.normal(0.0, LASER_M)
+        now.yaw_rad = now.yaw_rad + rng.normal(0.0, 2e-4, len(now.ds_m)) * np.sqrt(np.abs(now.ds_m))
+
+    return both
+
+
+def turned(pieces: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    return [(length, -kappa) for length, kappa in pieces]
+
+
+def loaded(n_runs: int = 24) -> list[Run]:
+    """Squares either way and straights, three payloads in each session, twice each."""
+    routes = [(SQUARE, "square_ccw"), (turned(SQUARE), "square_cw"), (STRAIGHT, "corridor")]
+    runs = []
+    for number in range(n_runs):
+        pieces, kind = routes[number % 3]
+        payload_kg = (0.0, 50.0, 100.0)[number // 3 % 3]
+        load_N = 300.0 + 0.4 * 9.81 * payload_kg
+        run = Run(pieces, kind=kind, load_left_N=load_N, load_right_N=load_N, session=f"s{1 + 2 * number // n_runs}")
+        runs.append(replace(run, front=False, numbers={"payload_kg": payload_kg}))
+    return runs

@@ -1,0 +1,54 @@
+"""A reference of wrong scale is told from radii and track that are off alike by a second measure of length alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+from tests.gap.effects.making import DIFFERENTIAL, Motion, Run, Truth, campaign, end_pose, loaded, noisy
+
+Diagnosing = Callable[..., Diagnosis]
+
+
+def stretched(share: float, seed: int, *, track: float = 0.0) -> Truth:
+    """A reference that reads every way longer by a share, beside a track that is off."""
+    truth = noisy(lambda *_: None, seed)
+
+    def both(run: Run, now: Motion) -> None:
+        truth(run, now)
+        now.track = track
+        x, y = share * end_pose(now.ds_m, now.turn_rad)[:2]
+        now.end_x_m, now.end_y_m = now.end_x_m + x, now.end_y_m + y
+
+    return both
+
+
+def test_a_reference_of_wrong_scale_is_not_three_causes_of_one_size(diagnosing: Diagnosing) -> None:
+    """Radii, track and rangefinder off by the same share would leave as little."""
+    verdict = diagnosing(campaign(loaded(), truth=stretched(5e-3, 12), vehicle=DIFFERENTIAL), plan=False)
+    assert [cause.effect for cause in verdict.causes] == ["reference_scale"]
+    assert not verdict.correction.calibration.any()
+
+
+@pytest.mark.parametrize(("track", "alike"), [(0.0, True), (5e-3, False)])
+def test_radii_and_track_off_alike_may_be_the_scale_of_a_reference_that_alone_measures(
+    track: float, alike: bool, diagnosing: Diagnosing
+) -> None:
+    """Longer ways by 0.5 % are radii and track 0.5 % larger; a track off otherwise is one."""
+    made = campaign(loaded(), truth=stretched(5e-3, 12, track=track), vehicle=DIFFERENTIAL)
+    runs = replace(made.runs, numbers={**made.runs.numbers, "distance_m": np.full(len(made.runs), np.nan)})
+    verdict = diagnosing(replace(made, runs=runs))
+    assert {cause.effect for cause in verdict.causes} == {"radius_scale", "track_width"}
+    assert verdict.recommended is not alike
+    told = [group[:3] for group in verdict.groups] == [("radius_scale", "track_width", "reference_scale")]
+    assert told is alike
+    if alike:
+        assert verdict.kind is VerdictKind.AMBIGUOUS
+        assert "(radius_scale) with a wrong track width (track_width)" in verdict.sentence
+        assert max(cause.probability for cause in verdict.causes) <= 0.5
+        assert "by tape or laser (distance_m)" in " ".join(verdict.fix.why)
+        assert verdict.next_runs[0].tape
