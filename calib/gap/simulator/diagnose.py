@@ -24,7 +24,16 @@ from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.arrays import N_CHANNELS, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
-from calib.gap.simulator.fix import alone, fixed, iterated, left_by, named_parameters, without_parameter
+from calib.gap.simulator.fix import (
+    SimulatorFix,
+    alone,
+    fixed,
+    iterated,
+    left_by,
+    named_parameters,
+    without_parameter,
+)
+from calib.gap.simulator.rivals import Rival, as_rivals, rivals_of
 from calib.gap.simulator.runner import Differences, SimulatorRunner, differences_of
 from calib.gap.simulator.settings import COLUMNS, SimulatorSettings, run_cache, written_wrong
 from calib.types import FloatArray, Progress, silent
@@ -79,14 +88,14 @@ def diagnose_simulator(
             "where distance_m was measured, and sim_x_m, sim_y_m, sim_theta_rad where end poses were"
         )
 
-    def searched(differences: Differences) -> Diagnosis:
+    def searched(differences: Differences, without: Sequence[str] = ()) -> Diagnosis:
         candidates, notes = _candidates(observations, differences, exclude, campaign)
         diagnosis = diagnose_in_full(
             campaign,
             seed=seed,
             exclude=exclude,
             observations=observations,
-            candidates=candidates,
+            candidates=[effect for effect in candidates if effect.id not in without],
             model_name=settings.path.name,
             plan=False,
             progress=progress,
@@ -99,10 +108,13 @@ def diagnose_simulator(
     return SimulatorDiagnosis(replace(diagnosis, fix=replace(diagnosis.fix, why=why)), runner)
 
 
-def _confirmed(
-    searched: Callable[[Differences], Diagnosis], differences: Differences, rng: np.random.Generator
-) -> Diagnosis:
-    diagnosis = searched(differences)
+#: searches that leave out what takes the place of parameters which were run
+_MOST_SEARCHES: Final = 4
+_Search = Callable[[Differences, Sequence[str]], Diagnosis]
+
+
+def _confirmed(searched: _Search, differences: Differences, rng: np.random.Generator) -> Diagnosis:
+    diagnosis = searched(differences, ())
     named = named_parameters(diagnosis, differences)
     found = iterated(diagnosis, differences) if named else None
     if diagnosis.kind in NO_GAP_SHOWN:
@@ -114,7 +126,7 @@ def _confirmed(
             if fix is None or fix.deviation.keys() != typical.keys():
                 continue
             through = differences.through(fix.deviation, fix.table, typical)
-            again = searched(through)
+            again = searched(through, ())
             names, parts = named_parameters(again, differences).keys(), {form.effect for form in again.fitted.forms}
             others = {cause.effect for cause in again.causes} - names
             # not where what it omits has a part, nor for other effects of the library
@@ -123,9 +135,34 @@ def _confirmed(
                 diagnosis = _tied_as(diagnosis, again)
                 found = iterated(again, through, fix if names == tried.keys() else None)
                 break
+    rivals = rivals_of(diagnosis, differences, found)
+    if len(rivals) > 1 or any(each.names != frozenset(c.effect for c in diagnosis.causes) for each in rivals):
+        diagnosis, found = _told_by_runs(searched, diagnosis, differences, rivals) or (diagnosis, found)
     if found is None:
         return without_parameter(diagnosis)
     return fixed(diagnosis, differences, found, rng)
+
+
+def _told_by_runs(
+    searched: _Search, first: Diagnosis, differences: Differences, rivals: Sequence[Rival]
+) -> tuple[Diagnosis, SimulatorFix] | None:
+    # None where no search names the parameters that were run
+    best = next((each for each in rivals if each.fix is not None), None)
+    if best is None or best.fix is None:
+        return None
+    if best.names == {cause.effect for cause in first.causes}:
+        return as_rivals(first, rivals), best.fix
+    typical = {each.name: each.parameter.typical for each in best.named.values()}
+    through, without = differences.through(best.fix.deviation, best.fix.table, typical), list[str]()
+    for _ in range(_MOST_SEARCHES):
+        again = searched(through, without)
+        names = {cause.effect for cause in again.causes}
+        if names == best.names:
+            return as_rivals(again, rivals), iterated(again, through, best.fix)
+        if not (others := sorted(names - best.names)):
+            break
+        without += others
+    return None
 
 
 def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:

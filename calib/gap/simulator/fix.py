@@ -1,7 +1,8 @@
 """The fix of a simulator: what to set in it, by running it again, and the closure that it shows."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import combinations, islice
 from typing import Final
 
 import numpy as np
@@ -9,10 +10,10 @@ import numpy as np
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.fix import harm
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, closure_of
+from calib.gap.decision.held_out import ADEQUATE_CLOSURE, Closure, closure_of
 from calib.gap.decision.kind import NO_GAP_SHOWN, with_left
 from calib.gap.decision.sentences import joined, sentence
-from calib.gap.decision.trials import trials
+from calib.gap.decision.trials import Trial, trials
 from calib.gap.effects.effect import Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
 from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
@@ -21,7 +22,7 @@ from calib.gap.inference.noise import Noise
 from calib.gap.predict import Path, residuals
 from calib.gap.simulator.runner import Differences, Job, averaged, difference
 from calib.gap.simulator.settings import Declared
-from calib.types import FloatArray, IntArray
+from calib.types import FloatArray, IntArray, few_digits
 
 #: most runs with a fix, a secant step each
 MOST_RERUNS: Final = 8
@@ -39,8 +40,9 @@ ALONE: Final = 2.0
 ALONE_SHARE: Final = 0.5
 #: squares over the noise's that settle a fix
 LACKING: Final = 1.5
-#: parameters tried together
+#: parameters tried together, and sets of them weighed: all of thirty parameters
 MOST_ALONE: Final = 3
+MOST_SETS: Final = 5000
 #: prior standard deviation of a correction in typical sizes: a finite solution
 CORRECTION_SD: Final = 30.0
 
@@ -81,7 +83,9 @@ def fixed(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, r
     closes, fits = (each.ci95 is not None and each.ci95[0] > ADEQUATE_CLOSURE for each in (closure, own))
     kind = diagnosis.kind if closes and not closure.leaves_part else VerdictKind.PARTLY_EXPLAINED
     ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, after)
-    worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran))
+    worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran)) or tuple(
+        _farther(ran, closure)
+    )
     recommended = diagnosis.fix.recommended and fits and found.settled and not worse
     why = (*diagnosis.fix.why, *worse)
     if not fits:
@@ -103,12 +107,27 @@ def fixed(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, r
     return with_left(replace(diagnosis, sentence=f"{sentence(diagnosis)} {_what_to_set(named, values)}{lacking}"))
 
 
+def _farther(ran: Iterable[Trial], closure: Closure) -> Iterator[str]:
+    # headings that come right weigh more than ends that errors of opposite sense kept near
+    for trial in ran:
+        before_m, after_m = trial.before_rms_m or 0.0, trial.after_rms_m or 0.0
+        if after_m**2 > before_m**2 + (closure.floor_rms_m or 0.0) ** 2:
+            where = f"run again with it, {trial.left_out} {trial.value} ends {few_digits(1e3 * after_m)} mm off"
+            yield f"{where}, {few_digits(1e3 * before_m)} mm without: another parameter is off, too; {FAR}"
+
+
 def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
     """Return what to set in the simulator, by parameter; RefusedError if none is named."""
     if not diagnosis.fix.parameters:
         raise RefusedError(
             f"{diagnosis.campaign}: the verdict names no parameter of the simulator, so there is none to set; "
             "leave the simulator as it is, or add a parameter for the named effect"
+        )
+    before_m, after_m = diagnosis.closure.before_rms_m or 0.0, diagnosis.closure.after_rms_m or 0.0
+    if after_m**2 > before_m**2 + (diagnosis.closure.floor_rms_m or 0.0) ** 2:
+        raise RefusedError(
+            f"{diagnosis.campaign}: with it the simulator ends {few_digits(1e3 * after_m)} mm off, "
+            f"{few_digits(1e3 * before_m)} mm without; leave it as it is"
         )
     return dict(diagnosis.fix.parameters)
 
@@ -130,18 +149,39 @@ def alone(
 ) -> tuple[dict[str, Declared], SimulatorFix | None]:
     """Return parameters that may do without the other causes, and the fix by them; None where they do not."""
     # the named ones, `start` the fix by them, or those of `_most_able`, fewest first
-    assert diagnosis.evidence is not None
-    base, square = diagnosis.evidence.search.base, diagnosis.fitted.chi_square
     own = named_parameters(diagnosis, differences)
     # beside effects of the library a fix may lie where the parameters by themselves lead nowhere
     begin = start if len(diagnosis.causes) == len(own) else None
     for named in (own, *(some for some in _most_able(diagnosis, differences) if some.keys() != own.keys())):
         if named:
-            first = begin if named is own else None
-            found = _followed(diagnosis, base, differences, named, first, limit=ALONE_SHARE * base.chi_square)
-            if found.square < ALONE * square:
+            found = run_alone(diagnosis, differences, named, begin if named is own else None)
+            if found.square < ALONE * diagnosis.fitted.chi_square:
                 return named, found
     return own, None
+
+
+def run_alone(
+    diagnosis: Diagnosis,
+    differences: Differences,
+    named: Mapping[str, Declared],
+    start: SimulatorFix | None = None,
+    limit: float = np.inf,
+) -> SimulatorFix:
+    """Return the fix by parameters without any other cause.
+
+    Parameters
+    ----------
+    diagnosis, differences, named
+        The first verdict; the simulator about nominal; the parameters.
+    start
+        A fix already run.
+    limit
+        Squares that are too many, beside half of the gap's: a fix that promises no fewer is given up.
+    """
+    assert diagnosis.evidence is not None
+    base = diagnosis.evidence.search.base
+    most = min(limit, ALONE_SHARE * base.chi_square)
+    return _followed(diagnosis, base, differences, named, start, limit=most)
 
 
 def _followed(
@@ -186,8 +226,14 @@ def _followed(
             trial = np.clip(at + now.correction, -far, far)
         elif then.converged:
             break
-        else:
+        elif len(names) == 1:
             trial = 0.5 * (at + trial)
+        else:
+            # half as far at most, where what that run showed sends it
+            slope, reach = steeper, 0.5 * float(np.linalg.norm(scaled))
+            now = asked(table, slope)
+            step = np.clip(at + now.correction, -far, far) - at
+            trial = at + step * min(1.0, reach / max(float(np.linalg.norm(step / typical)), 1e-12))
     return SimulatorFix(
         dict(zip(names, map(float, at), strict=True)),
         table,
@@ -284,7 +330,8 @@ def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
     return replace(diagnosis, sentence=f"{diagnosis.sentence} {why}")
 
 
-def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], IntArray, FloatArray, FloatArray]:
+def scaled_signatures(diagnosis: Diagnosis) -> tuple[list[Form], IntArray, FloatArray, FloatArray]:
+    """Return the parameters' forms, signs and whitened signatures (n_rows, k) at the largest, and the gap (n_rows,)."""
     nominal, own = diagnosis.nominal, [e for e in diagnosis.effects if e.id.startswith(SIMULATOR_PREFIX)]
     forms = [form for effect in own for form in effect.forms(nominal.s)]
     largest = np.array([parameter.largest / parameter.typical for form in forms for parameter in form.parameters])
@@ -296,23 +343,33 @@ def _signatures(diagnosis: Diagnosis) -> tuple[list[Form], IntArray, FloatArray,
 
 
 def _most_able(diagnosis: Diagnosis, differences: Differences) -> Iterator[dict[str, Declared]]:
-    forms, sign, a, r = _signatures(diagnosis)
-    chosen: list[int] = []
-    for _ in range(MOST_ALONE):
-        trials = []
-        for number in set(range(len(forms))) - set(chosen):
-            some = a[:, [*chosen, number]]
-            sizes = np.linalg.solve(some.T @ some + 1e-9 * np.eye(len(chosen) + 1), some.T @ r)
-            if (np.abs(sizes) < 1.0).all() and (sizes * sign[[*chosen, number]] >= 0.0).all():
-                trials.append((float(((r - some @ sizes) ** 2).sum()), number))
-        if not trials:
-            break
-        chosen.append(min(trials)[1])
-        yield {effect: differences.by_cause[effect] for effect in (forms[number].effect for number in chosen)}
+    # radii off alike show in the two together alone: of each number the best set, not the best after the best
+    forms, sign, columns, gap = scaled_signatures(diagnosis)
+    for size in range(1, min(MOST_ALONE, len(forms)) + 1):
+        sets = islice(combinations(range(len(forms)), size), MOST_SETS)
+        square, best = min((square_left(columns[:, [*some]], gap, sign[[*some]]), some) for some in sets)
+        if square < np.inf:
+            yield {forms[number].effect: differences.by_cause[forms[number].effect] for number in best}
+
+
+def bend(diagnosis: Diagnosis, differences: Differences, fix: SimulatorFix) -> float:
+    """Return by how much a fix's run is off its parameters' changes about nominal, whitened."""
+    change = difference(fix.table, differences.nominal)
+    straight = sum((differences.change[name] * size for name, size in fix.deviation.items()), np.zeros_like(change))
+    nominal = diagnosis.nominal
+    missed = in_end_frame(nominal, (change - straight)[differences.rows(nominal.s)])
+    return float(np.linalg.norm(whitened_rows(nominal, diagnosis.noise, missed[:, :, None])))
+
+
+def square_left(columns: FloatArray, gap: FloatArray, sign: IntArray) -> float:
+    """Return the squares of a gap (n_rows,) that columns (n_rows, k) leave; infinite beyond plausible sizes."""
+    sizes = np.linalg.solve(columns.T @ columns + 1e-9 * np.eye(len(sign)), columns.T @ gap)
+    possible = (np.abs(sizes) < 1.0).all() and (sizes * sign >= 0.0).all()
+    return float(((gap - columns @ sizes) ** 2).sum()) if possible else np.inf
 
 
 def _share_together(diagnosis: Diagnosis) -> float:
-    forms, sign, a, r = _signatures(diagnosis)
+    forms, sign, a, r = scaled_signatures(diagnosis)
     if not forms or not r.any():
         return 0.0
     left = left_by(a, r, sign)
@@ -332,7 +389,7 @@ def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
 
 
 def _forbidden(diagnosis: Diagnosis) -> str:
-    forms, signs, a, r = _signatures(diagnosis)
+    forms, signs, a, r = scaled_signatures(diagnosis)
     for form, sign, column in zip(forms, signs, a.T, strict=True):
         left = left_by(column[:, None], r, np.array([-sign]))
         if sign and left @ left < (1.0 - ADEQUATE_CLOSURE) * float(r @ r):

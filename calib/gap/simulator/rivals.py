@@ -1,0 +1,133 @@
+"""Which sets of a simulator's parameters leave no more than noise when it is run with them, and which do so alike."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import exp, log, sqrt
+from typing import Final
+
+import numpy as np
+
+from calib.gap.decision.confounding import LOG_EVIDENCE_WINDOW
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+from calib.gap.decision.trials import most_square
+from calib.gap.simulator.fix import (
+    SimulatorFix,
+    alone,
+    bend,
+    named_parameters,
+    run_alone,
+    scaled_signatures,
+    square_left,
+)
+from calib.gap.simulator.runner import Differences
+from calib.gap.simulator.settings import Declared
+
+#: of a set's squares and Schwarz's penalty over the best one's, beyond which it is ten times less probable
+WINDOW: Final = 2.0 * LOG_EVIDENCE_WINDOW
+#: what a parameter not run may bend: as those run did, and of the gap, by a step of another size or side
+BENT_SHARE: Final = 0.05
+#: squares over noise's that a run's signatures may promise before it is given up: twice the noise level
+PROMISED: Final = 4.0
+#: share by which a size moves where another parameter beside it takes a part
+MOVED: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """Causes that explain the gap by themselves: parameters that were run, or the first verdict's."""
+
+    names: frozenset[str]  #: ids of the causes
+    score: float  #: squares left, and log n a parameter (Schwarz, Annals of Statistics 6, 1978)
+    named: Mapping[str, Declared]  #: the parameters by cause
+    fix: SimulatorFix | None  #: None of a verdict with effects of the library
+
+
+def rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix | None) -> list[Rival]:
+    """Return what explains the gap to the noise, the most probable first; empty where no parameters alone do.
+
+    Run are the named parameters, those most able, and of the best set each with one parameter left out, or another in
+    its place. `found`: the fix by those named.
+    """
+    n_rows, named = int(diagnosis.nominal.s.usable.sum()), named_parameters(diagnosis, differences)
+    limit, verdict = most_square(n_rows, diagnosis.noise.dof), frozenset(cause.effect for cause in diagnosis.causes)
+
+    def rival(some: Mapping[str, Declared], fix: SimulatorFix) -> Rival:
+        return Rival(frozenset(some), fix.square + len(some) * log(n_rows), some, fix)
+
+    if found is not None and len(named) == len(verdict):
+        run = [rival(named, found)]
+    else:
+        tried, fix = alone(diagnosis, differences, found)
+        run = [] if fix is None else [rival(tried, fix)]
+    run = [each for each in run if each.fix is not None and each.fix.square <= limit]
+    for some in _neighbours(diagnosis, differences, run[0], limit) if run else ():
+        fix = run_alone(diagnosis, differences, some, limit=PROMISED * limit)
+        if fix.square > limit:
+            continue
+        run.append(rival(some, fix))
+        if added := some.keys() - run[0].named.keys():
+            # both may be at work
+            whole = {**run[0].named, **{name: some[name] for name in added}}
+            run.append(rival(whole, run_alone(diagnosis, differences, whole, limit=PROMISED * limit)))
+    if run and len(named) < len(verdict):
+        n_sizes = sum(len(size) for _, size, _ in diagnosis.fitted.each())
+        run.append(Rival(verdict, diagnosis.fitted.chi_square + n_sizes * log(n_rows), named, None))
+    run.sort(key=lambda each: each.score)
+    kept: list[Rival] = []
+    for each in run:
+        # none that adds to a more probable one
+        if each.score <= run[0].score + WINDOW and not any(better.names <= each.names for better in kept):
+            kept.append(each)
+    return kept
+
+
+def _neighbours(
+    diagnosis: Diagnosis, differences: Differences, best: Rival, limit: float
+) -> Iterator[dict[str, Declared]]:
+    # what signatures about nominal leave too much of, though it bent as far as may be, is no rival
+    assert best.fix is not None
+    forms, sign, columns, gap = scaled_signatures(diagnosis)
+    names = [form.effect for form in forms]
+    inside = [names.index(name) for name in best.named]
+    bent = max(bend(diagnosis, differences, best.fix), BENT_SHARE * float(np.linalg.norm(gap)))
+    most = (sqrt(limit) + bent) ** 2
+    for number in inside:
+        others = [each for each in inside if each != number]
+        for instead in ([], *([each] for each in range(len(names)) if each not in inside)):
+            some = [*others, *instead]
+            if some and square_left(columns[:, some], gap, sign[some]) <= most:
+                yield {names[each]: differences.by_cause[names[each]] for each in some}
+
+
+def as_rivals(diagnosis: Diagnosis, rivals: Sequence[Rival]) -> Diagnosis:
+    """Return the diagnosis of the first rival's causes with the odds of all, and what they are confounded with."""
+    best = next(each for each in rivals if each.fix is not None)
+    weights = [exp(0.5 * (rivals[0].score - each.score)) for each in rivals]
+    groups = {group[0]: tuple(group) for group in diagnosis.groups}
+    for other in rivals:
+        # what stands in the place of a cause, or takes a part of it; one left out alone is less probable
+        for name in sorted(name for name in best.names if name not in other.names or _moves(name, best, other)):
+            if instead := sorted(other.names - best.names):
+                groups[name] = tuple(dict.fromkeys((*groups.get(name, (name,)), *instead)))
+    shares = {
+        name: sum(weight for each, weight in zip(rivals, weights, strict=True) if name in each.names) / sum(weights)
+        for name in best.names
+    }
+    causes = tuple(replace(c, probability=c.probability * shares.get(c.effect, 1.0)) for c in diagnosis.causes)
+    tied = len(groups) > len(diagnosis.groups) and diagnosis.kind is VerdictKind.EXPLAINED
+    return replace(
+        diagnosis,
+        causes=causes,
+        groups=tuple(groups.values()),
+        kind=VerdictKind.AMBIGUOUS if tied else diagnosis.kind,
+        credible_sets=tuple(dict.fromkeys((*(tuple(sorted(each.names)) for each in rivals), *diagnosis.credible_sets))),
+        probabilities={**diagnosis.probabilities, **{cause.effect: cause.probability for cause in causes}},
+    )
+
+
+def _moves(name: str, best: Rival, other: Rival) -> bool:
+    if best.fix is None or other.fix is None:
+        return False
+    parameter = best.named[name].name
+    size = best.fix.deviation[parameter]
+    return abs(other.fix.deviation[parameter] - size) > MOVED * abs(size)
