@@ -58,13 +58,17 @@ class Fitted:
         turned = np.eye(len(self.covariance))
         for form, _, place in self.each():
             if form.end is not None and form.centre is not None:
-                turned[[0, 1], place] = np.diag([form.end.mean - form.centre.mean] * 2)
+                # of each wheel; zero points of other effects come after
+                turned[[0, 1], [place.start, place.start + 1]] = form.end.mean - form.centre.mean
         calibration = turned[:4] @ np.concatenate([self.calibration, *self.theta])
         forms = tuple(form.centred_at(form.end) for form in self.forms)
         # relative to the radii there
-        theta = (size / (1.0 + calibration[:2]) if form.end is not None else size for form, size, _ in self.each())
+        theta = tuple(size.copy() for size in self.theta)
+        for form, size in zip(self.forms, theta, strict=True):
+            if form.end is not None:
+                size[:2] /= 1.0 + calibration[:2]
         covariance = turned @ self.covariance @ turned.T
-        return replace(self, forms=forms, theta=tuple(theta), calibration=calibration, covariance=covariance)
+        return replace(self, forms=forms, theta=theta, calibration=calibration, covariance=covariance)
 
     @property
     def parameters(self) -> FloatArray:

@@ -9,10 +9,13 @@ from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
+import pytest
 
 from calib.campaign.read import read_campaign
+from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.simulator.diagnose import diagnose_simulator
+from calib.gap.simulator.fix import parameters_to_set
 from calib.gap.simulator.runner import Job, SimulatorRunner
 from calib.gap.simulator.settings import read_settings
 from tests.gap.effects.making import campaign
@@ -126,3 +129,12 @@ def test_what_two_parameters_may_do_in_part_is_no_whole_explanation(tmp_path: Pa
     found = diagnosed(tmp_path, TYRE, tyre, {"tyre": 100.6}, warm=2e-3)
     assert any(not cause.effect.startswith("simulator:") for cause in found.causes)
     assert found.kind is VerdictKind.PARTLY_EXPLAINED
+
+
+def test_a_fix_by_which_ends_get_further_off_is_not_written(tmp_path: Path) -> None:
+    """Headings that come right outweigh ends in the closure."""
+    found = diagnosed(tmp_path, {"wheel_radius_left": LEFT, "track": TRACK}, dict, {"wheel_radius_left": 0.1003})
+    assert parameters_to_set(found).keys() == {"wheel_radius_left"}
+    further = replace(found.closure, before_rms_m=0.38, after_rms_m=0.51)
+    with pytest.raises(RefusedError, match="510 mm off, 380 mm without"):
+        parameters_to_set(replace(found, closure=further))
