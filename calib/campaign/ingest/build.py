@@ -210,7 +210,8 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
     if named and not names_runs(raw, work.mapping):
         return None
     mapped = any(line.column for line in work.mapping.table.columns.values())
-    log_columns = {line.column for line in work.mapping.log.columns.values() if line.column} or {"t_s"}
+    # of several files as file:column
+    log_columns = {line.column.rpartition(":")[2] for line in work.mapping.log.columns.values()} - {""} or {"t_s"}
     if not mapped and not names_runs(raw, work.mapping) and log_columns & set(raw.columns):
         return None
     work.hashes[str(path)] = sha256_file(path)

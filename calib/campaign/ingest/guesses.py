@@ -221,6 +221,9 @@ _JUMP, _ONE_TURN = 0.75, 1.001
 _EVEN, _MOSTLY = 0.05, 0.9
 #: correlation of a counter's steps with the next: a smooth drive nearly 1, a speed's noise -0.5
 _ALIKE: Final = 0.2
+#: share of its span by which increments of a driving wheel differ from those of a standing one, and of their steps that
+#: turn back
+_AWAY: Final = 0.25
 #: a plain counter, or an angle without end
 RISES: Final = "rises without a break"
 #: turn -> what the angle does
@@ -247,10 +250,14 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
         if _JUMP * turn < span <= _ONE_TURN * turn and jumps.any() and steady:
             return words
     # what moves goes on: a counter's steps are alike from one to the next, but where it starts again; increments' are
-    # not
+    # not, or they stay about a level, up and down, between two standstills
+    away = np.abs(values[1:] - values[0]) > _AWAY * span
+    turns = steps[away & (steps != 0)]
+    level = abs(values[-1] - values[0]) < 0.1 * _AWAY * span and away.mean() > 0.5
+    level = level and len(turns) > 1 and float(np.mean(turns[1:] * turns[:-1] < 0)) > _AWAY
     steps = steps[np.abs(steps) < _JUMP * span]
     alike = float(np.sum(steps[1:] * steps[:-1])) / max(float(np.sum(steps * steps)), 1.0)
-    return "increments, a count a sample" if whole and alike < _ALIKE else ""
+    return "increments, a count a sample" if whole and (level or alike < _ALIKE) else ""
 
 
 #: for a lag's interval

@@ -8,7 +8,15 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.ingest.guesses import Lag, Lines, continuous_angle, continuous_counts, estimate_lags
+from calib.campaign.ingest.guesses import (
+    Lag,
+    Lines,
+    continuous_angle,
+    continuous_counts,
+    estimate_lags,
+    guessed_log_column,
+    stem_and_unit,
+)
 from calib.campaign.ingest.mapping import MappedColumn, Mapping, counts_per_unit
 from calib.campaign.ingest.runs import resolved, whole_name, without_unit
 from calib.campaign.logs import (
@@ -26,7 +34,7 @@ from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import Recognised, converted, recognise
 from calib.errors import BadFileError
-from calib.types import FloatArray, floats
+from calib.types import SUFFIXES, FloatArray, floats
 
 #: name of the column that tells the runs
 CUT_COLUMN: Final = "cut"
@@ -236,6 +244,7 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, settings: Campaign,
     for name in [name for name in columns if name.startswith("counts_") and name in lines]:
         unit, values = lines[name].wheel_unit, columns[name]
         (kind, turns, _), counts = COUNT_UNITS[unit], counts_per_unit(name, unit, settings)
+        _refuse_other_units(name, lines[name], shown)
         if kind == "increments":
             columns[name] = np.cumsum(values)
         elif kind == "angle":
@@ -246,6 +255,15 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, settings: Campaign,
         elif kind != "counts":
             steps = 0.5 * (values[1:] + values[:-1]) * np.diff(columns["t_s"])
             columns[name] = np.concatenate(([0.0], np.cumsum(steps))) * counts
+
+
+def _refuse_other_units(name: str, line: MappedColumn, shown: str) -> None:
+    column, unit = line.column, stem_and_unit(line.column)[1]
+    speed = SUFFIXES[unit][0] in {"mps", "radps"} if unit else (guessed_log_column(column) or "").startswith("speed_")
+    if speed and line.wheel_unit == "counts" and line.unit is None and line.factor == 1.0:
+        found = f"a speed or rate by its name{f', in {unit}' if unit else ''}, mapped to {name}"
+        remedy = f'map a speed to {name.replace("counts", "speed")}_mps, or state the unit: "rad/s" or "counts"'
+        raise BadFileError(shown, found, "counts, or a unit on the line of the mapping", remedy, column=column)
 
 
 def _without_repeats(columns: dict[str, FloatArray], shown: str, border: Border) -> dict[str, FloatArray]:

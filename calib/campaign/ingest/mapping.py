@@ -39,6 +39,8 @@ _LOG_FILES: Final = (
 )
 _OF_A_RUN: Final = r"\{(run_id|n(:0?\d+)?)\}"
 _NOT_NEGATIVE: Final = "a number, not below 0"
+#: a unit of frames or rows counted
+_FRAME_RATE: Final = re.compile(r"(\d+(?:\.\d+)?)\s*(hz|fps)", re.IGNORECASE)
 
 
 def units_for(name: str) -> tuple[str, ...]:
@@ -48,6 +50,12 @@ def units_for(name: str) -> tuple[str, ...]:
     suffix = split_suffix(name)[1]
     masses = name.startswith("load_") and suffix == "N"
     return tuple(unit for unit, (to, _, _) in SUFFIXES.items() if to == suffix or (masses and to == "kg"))
+
+
+def _frames_per_s(unit: str | None) -> float:
+    # 0 for a unit that is no rate
+    rate = _FRAME_RATE.fullmatch(unit or "")
+    return float(rate[1]) if rate else 0.0
 
 
 class _Model(BaseModel):
@@ -119,7 +127,7 @@ class MappedColumn(_Model):
         # as `cam.x_mm`; beside it a factor is the conversion
         ending = split_suffix(self.column)[1] if abs(self.factor) == 1.0 else ""
         unit = unit_spelled(bracketed(self.column)[1] or ending or "")
-        return unit if unit in units_for(name) else None
+        return unit if unit in units_for(name) or (name == "t_s" and _frames_per_s(unit)) else None
 
     @property
     def wheel_unit(self) -> str:
@@ -129,13 +137,15 @@ class MappedColumn(_Model):
     def target(self, name: str) -> str:
         """Return calib's column `name` in the source's unit (``t_ms``)."""
         unit = self.unit_for(name)
-        if unit is None or name.startswith("counts_") or self._weighed(name):
+        if unit not in SUFFIXES or name.startswith("counts_") or self._weighed(name):
             return name
         return f"{split_suffix(name)[0]}_{unit}"
 
     def scale(self, name: str) -> float:
-        """Return the factor beside the unit; a wheel's load in kg is its weight in N."""
+        """Return the factor beside the unit; a wheel's load in kg is its weight in N, a frame lasts 1 / rate."""
         unit = self.unit_for(name)
+        if rate := _frames_per_s(unit):
+            return self.factor / rate
         return self.factor * (GRAVITY_MPS2 * SUFFIXES[unit][1] if unit and self._weighed(name) else 1.0)
 
     def _weighed(self, name: str) -> bool:
@@ -178,15 +188,21 @@ class _Section(_Model):
         for name, line in self.columns.items():
             if line.w and (name != "ref_theta_rad" or isinstance(self, TableSection) or line.unit or not line.column):
                 raise _UnfitError(name, line.w, "w of a quaternion for ref_theta_rad in [log] alone, without a unit")
-            if line.unit not in (None, *(units := units_for(name))):
-                expected = f"one of {', '.join(units)}" if units else f"no unit, since {name} has none"
-                raise _UnfitError(name, line.unit, expected)
+            _check_unit(name, line, name)
         return self
 
     @property
     def layout(self) -> Layout:
         """Sheet and rows, for the readers."""
         return Layout(self.sheet, self.header_row, self.units_row, tuple(self.skip_rows), lab=True)
+
+
+def _check_unit(name: str, line: MappedColumn, key: str) -> None:
+    units = units_for(name)
+    if line.unit not in {None, *units} and not (name == "t_s" and _frames_per_s(line.unit)):
+        expected = f"one of {', '.join(units)}" if units else f"no unit, since {name} has none"
+        expected += ', or the rate of frames counted, as "50 Hz"' * (name == "t_s")
+        raise _UnfitError(key, line.unit, expected)
 
 
 class TableSection(_Section):
@@ -221,6 +237,14 @@ class LogSection(_Section):
     lag: Literal["report", "remove"] = Field(default="report", description='"report" or "remove"')
     #: runs with encoders exchanged
     swapped: list[str] = Field(default_factory=list, description='names of runs, as ["Run 12"]')
+
+    @model_validator(mode="after")
+    def _clocks_fit(self) -> "LogSection":
+        for tag, line in self.clocks.items():
+            if tag not in self.files:
+                raise _UnfitError(f"clocks.{tag}", tag, f"one of the files, {', '.join(self.files) or 'which are none'}")
+            _check_unit("t_s", self.clock_of(tag), f"clocks.{tag}")
+        return self
 
     def clock_of(self, tag: str) -> MappedColumn:
         """Return the column of the times in a file of `files`, or in each."""

@@ -133,7 +133,8 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     clocked = any(stream.start_ns is not None for stream in log.streams) or any(c.kind == "time" for c in columns)
     lines = []
     if "t_s" not in found and clock is not None and not log.recording and not clocked:
-        lines.append(entry("t_s", clock, _time_unit(clock)) + "   # rises in even steps; s, ms, us, ns")
+        unit, remark = _time_unit(clock)
+        lines.append(entry("t_s", clock, unit) + remark.replace("names no unit", "rises in even steps"))
         columns.remove(clock)
     for target, column in found.items():
         # in the log of the wheels a pose without the name of a tracker may be the vehicle's own
@@ -224,17 +225,23 @@ def _line(target: str, column: ColumnContents, log: FileContents) -> str:
     needs, own, remark = split_suffix(target)[1], unit_named(column.unit), ""
     unit = stem_and_unit(column.name)[1] or (own if own != needs else None)
     if needs and unit is None and own != needs and column.kind != "time":
-        unit, remark = _time_unit(column) if target == "t_s" else needs, unit_remark(target)
+        unit, remark = _time_unit(column) if target == "t_s" else (needs, unit_remark(target))
     return entry(target, column, unit, {"from_start": True} if log.recording and target == "range_m" else None) + remark
 
 
-def _time_unit(column: ColumnContents) -> str:
+def _time_unit(column: ColumnContents) -> tuple[str | None, str]:
     low, high = column.low or 0.0, column.high or 0.0
-    if _DAYS[0] < low <= high < _DAYS[1] and column.step < _DAY_STEP:
-        return "day"
+    if MappedColumn(column=column.name).unit_for("t_s"):
+        return None, ""
+    if column.whole and column.even and column.step == 1.0:
+        return "? Hz", '   # counts frames or rows: state how many a second, as "50 Hz"'
     unit = next((unit for least, unit in _EPOCHS if high > least), "s")
-    # a counter of milliseconds may exceed the seconds since 1970
-    return next((one for least, one in _STEPS if column.whole and column.step > least), unit) if unit == "s" else unit
+    if _DAYS[0] < low <= high < _DAYS[1] and column.step < _DAY_STEP:
+        unit = "day"
+    elif unit == "s" and column.whole:
+        # a counter of milliseconds may exceed the seconds since 1970
+        unit = next((one for least, one in _STEPS if column.step > least), unit)
+    return unit, unit_remark("t_s")
 
 
 def _wheel_lines(

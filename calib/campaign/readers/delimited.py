@@ -46,6 +46,9 @@ _BATCH_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
 _EXACT_WHOLE: Final = 2.0**53
 _REMARK: Final = re.compile(rb"(?m)^[ \t]*#[^\n]*")
 _BLANKS: Final = re.compile(rb"[ \t]+")
+#: in a preamble, of frames that the first column counts
+_FRAME_RATE: Final = re.compile(rb"(?im)(?:rate|frequency)\W+(\d+(?:\.\d+)?)|^(\d+(?:\.\d+)?)[,;\t ]*$")
+_FRAMES: Final = re.compile(rb"Frames?(?=[,;\t])", re.IGNORECASE)
 
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
@@ -66,6 +69,8 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     above = (
         _split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
     )
+    if layout.lab and (rate := _FRAME_RATE.search(data[:start])) and (name := _FRAMES.match(data, start)):
+        data = data[: name.end()] + b" [%g Hz]" % float(rate[1] or rate[2]) + data[name.end() :]
     unit = unit_named((re.findall(rb"Length Units,(\w+)", data[:start]) or [b""])[0].decode())
     above = [f"{cell} [{unit}]" if unit and cell == "Position" else cell for cell in above]
     if wanted is not None and data.find(b'"', start) < 0:
