@@ -38,9 +38,7 @@ _POSES: Final = (
     "tf/msg/tfMessage",
 )
 _ODOMETRY: Final = "nav_msgs/msg/Odometry"
-#: kinds that do not say what they measure
 _UNTYPED: Final = ("channels", "variables")
-#: in a joint's rate's name
 _RATE: Final = ":velocity."
 #: numbers above it count from 1970 -> unit
 _EPOCHS: Final = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
@@ -57,7 +55,6 @@ _CORNERS: Final = {
 }
 #: of its span, by which two coupled wheels of a side differ at most: they slip, but do not steer
 _COUPLED: Final = 0.02
-#: of the spans of the others: of a vertical axis
 _LEVEL: Final = 0.1
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
 _TWIST: Final = ("v_mps", "omega_radps")
@@ -66,7 +63,6 @@ _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.I
 #: stem of a pose that no tracker is named in: the vehicle's own, perhaps
 _NO_TRACKER: Final = re.compile(r"((robot|base)_)?(pose?|pos(ition)?)?_?(x|y|theta|yaw|heading)")
 _BESIDE: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
-#: remark on its coupled wheels
 SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
 
 
@@ -86,8 +82,8 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
     for tag, part in parts.items():
         alike = [log for log in logs if re.sub(r"\d+", "#", log.name) == re.sub(r"\d+", "#", part.name)]
         of_part = _with_bits(part, alike)
-        clocks = [c for c in of_part if guessed_log_column(c.name) == "t_s"] + [c for c in of_part if c.even]
-        time = next(iter(clocks), None)
+        clocks = [c for c in of_part if guessed_log_column(c.name) == "t_s"]
+        time = next(iter([*clocks, *(c for c in of_part if c.even or c.kind == "time")]), None)
         times |= {tag: time} if time is not None else {}
         own = [replace(c, name=f"{tag}:{c.name}") for c in of_part if c is not time and c.kind == "number"]
         streams.append(StreamContents(tag, _UNTYPED[0], part.n_rows, "", tuple(c.name for c in own)))
@@ -101,9 +97,8 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
         found["t_s"] = next(iter(times.values()))
         one_clock = len({*own_times.values()}) == 1
         each = ", ".join(f"{tag} = {line}" for tag, line in own_times.items())
-        lines.insert(
-            0, _line("t_s", found["t_s"], log) if one_clock else f"clocks = {{{each}}}   # the times of each file"
-        )
+        several = f"clocks = {{{each}}}   # the times of each file" + "; state ? Hz" * ("?" in each)
+        lines.insert(0, _line("t_s", found["t_s"], log) if one_clock else several)
     return [*lines, *_missing(lines, found, logs)]
 
 
@@ -129,11 +124,11 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     _lay_flat(found, columns)
     bearing = _chosen(found, streams)
     names, others = ({column.name for column in of} for of in (found.values(), columns))
-    clock = next((column for column in columns if column.even and column.name not in names), None)
-    clocked = any(stream.start_ns is not None for stream in log.streams) or any(c.kind == "time" for c in columns)
+    free = sorted((column for column in columns if column.name not in names), key=lambda column: column.kind != "time")
+    clock = next((column for column in free if column.even or column.kind == "time"), None)
     lines = []
-    if "t_s" not in found and clock is not None and not log.recording and not clocked:
-        unit, remark = _time_unit(clock)
+    if "t_s" not in found and clock is not None and not log.recording:
+        unit, remark = _time_unit(clock) if clock.even else (None, "")
         lines.append(entry("t_s", clock, unit) + remark.replace("names no unit", "rises in even steps"))
         columns.remove(clock)
     for target, column in found.items():
@@ -226,7 +221,8 @@ def _line(target: str, column: ColumnContents, log: FileContents) -> str:
     unit = stem_and_unit(column.name)[1] or (own if own != needs else None)
     if needs and unit is None and own != needs and column.kind != "time":
         unit, remark = _time_unit(column) if target == "t_s" else (needs, unit_remark(target))
-    return entry(target, column, unit, {"from_start": True} if log.recording and target == "range_m" else None) + remark
+    ahead = target == "range_m" and (log.recording or column.falls)
+    return entry(target, column, unit, {"from_start": True} if ahead else None) + remark
 
 
 def _time_unit(column: ColumnContents) -> tuple[str | None, str]:
@@ -234,7 +230,7 @@ def _time_unit(column: ColumnContents) -> tuple[str | None, str]:
     if MappedColumn(column=column.name).unit_for("t_s"):
         return None, ""
     if column.whole and column.even and column.step == 1.0:
-        return "? Hz", '   # counts frames or rows: state how many a second, as "50 Hz"'
+        return "? Hz", '   # counts frames: state how many a second, as "50 Hz"'
     unit = next((unit for least, unit in _EPOCHS if high > least), "s")
     if _DAYS[0] < low <= high < _DAYS[1] and column.step < _DAY_STEP:
         unit = "day"
@@ -349,9 +345,9 @@ def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Seque
     out = [] if timed else ['#t_s = ""   # no column looks like times; every log needs them']
     if not any(name.startswith(("counts_", "speed_", "v_mps")) for name in named):
         out += [
-            '#counts_left = ""   # no column looks like a wheel: name those of the encoders (unit = "rad/s", ...',
-            '#counts_right = ""   # where it holds no counts); for one wheel in front counts_front and steer_rad',
-            "#   of speeds in m/s: speed_left_mps, speed_right_mps; speed_rear_mps, steer_rad; or v_mps, omega_radps",
+            '#counts_left = ""   # no column looks like a wheel: name those of the encoders, with unit = "rad/s", ...',
+            '#counts_right = ""   # where they count nothing; of one wheel in front counts_front and steer_rad;',
+            "#   of speeds in m/s speed_left_mps, speed_right_mps; speed_rear_mps, steer_rad; or v_mps, omega_radps",
         ]
     return out
 
@@ -361,8 +357,4 @@ def _kinds(logs: Sequence[FileContents]) -> list[str]:
     if len(kinds) < 2:
         return []
     names = ", ".join(Path(log.name).name for log in kinds.values())[:110]
-    return [
-        f"# {len(kinds)} kinds of logs ({names}): one file a run is read.",
-        "# Where each holds a part of a run, join them by time first, or record them in one bag, TDMS or .mat file:",
-        "# the streams of a recording are joined on the wheels' times.",
-    ]
+    return [f"# {len(kinds)} kinds of logs ({names}): parts of a run are joined by files = {{...}}"]

@@ -19,7 +19,6 @@ Cells = npt.NDArray[Any]
 Notes = list[Note] | None
 
 NS_PER_S: Final = 1_000_000_000
-#: a gap exceeds so many usual steps
 GAP_STEPS: Final = 5.0
 #: no measurement is larger, and squares would overflow
 LARGEST_VALUE: Final = 1e30
@@ -27,7 +26,6 @@ LARGEST_VALUE: Final = 1e30
 HEADER_ROWS: Final = 60
 #: of motion capture: kind, name, number, quantity, axis
 _HEADER_LINES: Final = 6
-#: of the usual width, and of texts
 _HEADER_SHARE: Final = 0.6
 
 #: read as empty, with a note
@@ -60,7 +58,6 @@ _TIMES: Final = {
     "time_of_day": re.compile(_CLOCK, re.ASCII),
 }
 
-#: name -> example
 TIME_FORMATS: Final = {
     "iso8601": "2026-05-04T10:15:30.250+02:00",
     "day_first": "04.05.2026 10:15:30,250",

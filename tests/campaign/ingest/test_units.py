@@ -72,13 +72,6 @@ def test_a_clock_of_no_unit_is_refused(unit: str, clocks: bool, tmp_path: Path) 
         ingest(sources, tmp_path / "c", mapping=tmp_path / "m.toml")
 
 
-def test_clocks_of_files_that_are_not_named_are_refused(tmp_path: Path) -> None:
-    sources = _frames(tmp_path, "", first=1)
-    (tmp_path / "m.toml").write_text('[log]\nfiles = {a = "t{n}_wheels.csv"}\nclocks = {b = "time_s"}\n')
-    with pytest.raises(CalibError, match=r"clocks\.b: found 'b'; expected one of the files, a"):
-        ingest(sources, tmp_path / "c", mapping=tmp_path / "m.toml")
-
-
 @pytest.mark.parametrize("rate", [RATE, RATE * np.where(TIME_S % 8 < 4, 1.0, 0.5)])
 def test_increments_about_a_level_are_told_from_totals(rate: np.ndarray, tmp_path: Path) -> None:
     """Two standstills and a drive between them, in counts a sample or as their sum."""
