@@ -90,6 +90,11 @@ class ColumnContents:
     #: as the distance to a target ahead
     falls: bool = False
 
+    @property
+    def span(self) -> float:
+        """Largest less smallest number."""
+        return (self.high or 0.0) - (self.low or 0.0)
+
     def words(self, alike: "Sequence[ColumnContents]") -> str:
         """Return the column in words; `alike`: that of all files of its kind."""
         text = f"{self.name}: "

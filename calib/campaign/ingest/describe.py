@@ -146,7 +146,7 @@ def _run_table(files: Sequence[FileContents]) -> FileContents | None:
         score = len(guesses) + 3 - 4 * timed
         runs = run_column(file)
         # of a log cut by a column each run has many rows
-        single = runs is not None and (runs.high is None or 2 * (runs.high - (runs.low or 0.0) + 1) > file.n_rows)
+        single = runs is not None and (runs.kind != "number" or 2 * runs.span + 2 > file.n_rows)
         named = single or (guesses >= _LENGTHS and guesses & _OF_RUNS and not has_clock(file))
         if not file.recording and named and score > best_score:
             best, best_score = file, score
@@ -188,8 +188,7 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
 
 def _tells_runs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
     # counts laps or runs, many rows each
-    span = (column.high or 0.0) - (column.low or 0.0)
-    few = len(logs) == 1 and column.whole and column.step == 1.0 and 0 < span < logs[0].n_rows / 20
+    few = len(logs) == 1 and column.whole and column.step == 1.0 and 0 < column.span < logs[0].n_rows / 20
     return few and (guessed_table_column(column.name) == "run_id" or is_lap(column.name))
 
 

@@ -21,13 +21,10 @@ from calib.types import SUFFIXES, BoolArray, FloatArray, floats, split_suffix, u
 _BEHIND: Final = re.compile(
     r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total|rpm))+$"
 )
-#: letters of a robot's wheels: fl, rear_right_drive; 'rear' of two wheels is no axle
-_AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")
-_AXLES: Final = {"f": "front", "r": "rear", "b": "rear"}
 #: in names of either side -> its letter
 _LETTERS: Final = (
-    {"SIDE": "left", "FRENCH": "g", "ITALIAN": "s", "SWEDISH": "v"},
-    {"SIDE": "right", "FRENCH": "d", "ITALIAN": "d", "SWEDISH": "h"},
+    {"SIDE": "left", "INITIAL": "l", "FRENCH": "g", "ITALIAN": "s", "SWEDISH": "v"},
+    {"SIDE": "right", "INITIAL": "r", "FRENCH": "d", "ITALIAN": "d", "SWEDISH": "h"},
 )
 _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ø": "oe", "ł": "l"})
 
@@ -148,8 +145,6 @@ def _guessed_in_log(name: str) -> str | None:
         return exact
     stem, unit = stem_and_unit(name)
     short = _BEHIND.sub("", stem)
-    if corner := _AXLE_FIRST.search(short):
-        return f"counts_{_AXLES[corner[1][0]]}_{'left' if corner[1][1] == 'l' else 'right'}"
     wheel = _matching(short, None, "log") if short != stem else None
     # only wheels: pose_x_raw is none
     return wheel if wheel and wheel.startswith("counts_") else _wheel_of(name) or _matching(stem, unit, "log")

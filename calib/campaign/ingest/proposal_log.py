@@ -116,6 +116,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     streams = {name: stream for stream in log.streams for name in stream.columns}
     kinds = {stream.kind: stream for stream in reversed(log.streams)}
     reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
+    columns, lines = _of_one_body(columns)
     found: dict[str, ColumnContents] = {}
     for column in sorted(columns, key=_preference):
         target = guessed_log_column(column.name)
@@ -126,7 +127,6 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     names, others = ({column.name for column in of} for of in (found.values(), columns))
     free = sorted((column for column in columns if column.name not in names), key=lambda column: column.kind != "time")
     clock = next((column for column in free if column.even or column.kind == "time"), None)
-    lines = []
     if "t_s" not in found and clock is not None and not log.recording:
         unit, remark = _time_unit(clock) if clock.even else (None, "")
         lines.append(entry("t_s", clock, unit) + remark.replace("names no unit", "rises in even steps"))
@@ -143,6 +143,18 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
             lines[-1] = _quaternion_line(column, columns)
     lines += _wheel_lines(found, columns, streams)
     return sorted(lines, key=lambda line: not line.startswith("t_s")), found
+
+
+def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], list[str]]:
+    # of several bodies that a tracker sees the one that moves
+    spans: dict[str, float] = {}
+    for column in columns:
+        body, _, what = column.name.rpartition(":")
+        if what.startswith("Position "):
+            spans[body] = max(spans.get(body, 0.0), column.span)
+    still = [f"{body}:" for body in spans if spans[body] < max(spans.values())]
+    lines = [f"# bodies: {', '.join(spans)}; the one that moves most is taken"] if still else []
+    return [column for column in columns if not column.name.startswith(tuple(still))], lines
 
 
 def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
@@ -182,7 +194,7 @@ def _lay_flat(found: dict[str, ColumnContents], columns: Sequence[ColumnContents
     axes = [named[name] for name in names if name in named]
     if len(axes) < 3 or found.get("ref_y_m") is not axes[1]:
         return
-    spans = [(axis.high or 0.0) - (axis.low or 0.0) for axis in axes]
+    spans = [axis.span for axis in axes]
     up = spans.index(min(spans))
     # the floor is uneven, and a straight run's sideways motion small
     up = up if spans[up] < _LEVEL * sorted(spans)[1] else 2
@@ -286,14 +298,12 @@ def _folded(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
 
 
 def _coupled(front: ColumnContents, rear: ColumnContents) -> bool:
-    if front.low is None or front.high is None or rear.low is None or rear.high is None:
-        return False
-    span = max(front.high - front.low, rear.high - rear.low)
-    return max(abs(front.low - rear.low), abs(front.high - rear.high)) <= _COUPLED * span
+    span = max(front.span, rear.span)
+    return max(abs((front.low or 0.0) - (rear.low or 0.0)), abs(front.span - rear.span)) <= _COUPLED * span
 
 
 def _turns(column: ColumnContents) -> bool:
-    return column.whole or (column.high or 0.0) - (column.low or 0.0) > 2.0 * math.pi
+    return column.whole or column.span > 2.0 * math.pi
 
 
 def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:

@@ -225,7 +225,7 @@ def _column_line(column: ColumnContents, name: str, further: dict[str, object] |
 
 def _may_be(target: str, column: ColumnContents, n_rows: int = 0) -> bool:
     # numbers that begin again name no runs
-    if target == "run_id" and column.high is not None and column.high - (column.low or 0.0) + 1 < n_rows:
+    if target == "run_id" and column.kind == "number" and column.span + 1 < n_rows:
         return False
     # of times the days are sessions
     if column.kind == "empty" or (target == "session" and column.form.startswith("times of day")):

@@ -63,13 +63,15 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         raise BadFileError(shown, found, "a header line with column names", "export the table again")
     if delimiter != "," and not any(note.code == "delimiter" for note in notes):
         notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
-    above = (
-        _split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
-    )
+    preamble = data[:start].decode("utf-8").splitlines() if skipped and layout.lab else []
+    above = _split_cells(preamble[-1:], delimiter)[0] if preamble else []
     if layout.lab and (rate := _FRAME_RATE.search(data[:start])) and (name := _FRAMES.match(data, start)):
         data = data[: name.end()] + b" [%g Hz]" % float(rate[1] or rate[2]) + data[name.end() :]
     unit = unit_named((re.findall(rb"Length Units,(\w+)", data[:start]) or [b""])[0].decode())
     above = [f"{cell} [{unit}]" if unit and cell == "Position" else cell for cell in above]
+    bodies = next((row for row in _split_cells(preamble, delimiter) if row[1:2] == ["Name"]), [])
+    if len({*bodies[2:]}) > 1:
+        above = [f"{body}:{cell}" if cell else cell for body, cell in zip(bodies, above, strict=False)]
     if wanted is not None and data.find(b'"', start) < 0:
         first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:LOOKED_AT]
         rows: Rows = list(enumerate(_split_cells(first, delimiter), start=skipped + 1))
