@@ -224,7 +224,8 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
         return None
     mapped = any(line.column for line in work.mapping.table.columns.values())
     # of several files as file:column
-    log_columns = {line.column.rpartition(":")[2] for line in work.mapping.log.columns.values()} - {""} or {"t_s"}
+    sources = [line.column for line in work.mapping.log.columns.values()]
+    log_columns = {*sources, *(name.partition(":")[2] for name in sources)} - {""} or {"t_s"}
     if not mapped and not names_runs(raw, work.mapping) and log_columns & set(raw.columns):
         return None
     work.hashes[str(path)] = sha256_file(path)

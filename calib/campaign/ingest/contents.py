@@ -85,7 +85,6 @@ class ColumnContents:
     does: str = ""
     #: median step other than 0; of times in s
     step: float = 0.0
-    #: rises in even steps, like a clock
     even: bool = False
     #: as the distance to a target ahead
     falls: bool = False
@@ -321,7 +320,7 @@ _PARTS: Final = {
 def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
     """Return the name of a run's log by the pattern; None without a pattern, or a number in the run's name.
 
-    `pattern`: of ``log.files``; else ``log.file``. ``{date}``, ``{time}`` and ``*`` stay: `fits_name` compares.
+    `pattern`: of ``log.files``; else ``log.file``.
     """
     pattern = pattern or log.file
     name = None if pattern is None else pattern.replace("{run_id}", run_id)

@@ -17,7 +17,7 @@ from calib.campaign.ingest.contents import (
     together,
     wrapped,
 )
-from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column, is_lap, shipped
+from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column, shipped
 from calib.campaign.ingest.mapping import MappedColumn
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
 from calib.campaign.ingest.proposal_table import file_lines, files_of_a_run, has_clock, run_column, table_lines
@@ -31,8 +31,6 @@ from calib.io import refuse_existing, write_text
 from calib.types import grouped
 
 _ALL_READ: Final = 40
-#: of a run table that nothing else shows as one
-MOST_ROWS: Final = 200
 #: with a column that no log has, they show a run table without names
 _LENGTHS: Final = frozenset({"distance_m", "counts_left", "counts_right"})
 _OF_RUNS: Final = frozenset(
@@ -151,9 +149,9 @@ def _run_table(files: Sequence[FileContents]) -> FileContents | None:
         if not file.recording and named and score > best_score:
             best, best_score = file, score
     if best is None:
-        # no log is as short, without a clock
-        short = [file for file in files if not (file.recording or has_clock(file)) and file.n_rows <= MOST_ROWS]
-        worded = [one for one in short if any(column.kind in {"text", "time"} for column in one.columns)]
+        # logs have a clock
+        others = [file for file in files if not (file.recording or has_clock(file))]
+        worded = [one for one in others if any(column.kind in {"text", "time"} for column in one.columns)]
         if len(worded) == 1 and (len(files) == 1 or any(map(has_clock, files))):
             return worded[0]
     return best
@@ -189,7 +187,7 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
 def _tells_runs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
     # counts laps or runs, many rows each
     few = len(logs) == 1 and column.whole and column.step == 1.0 and 0 < column.span < logs[0].n_rows / 20
-    return few and (guessed_table_column(column.name) == "run_id" or is_lap(column.name))
+    return few and guessed_table_column(column.name) == "run_id"
 
 
 def _of_a_session(logs: Sequence[FileContents]) -> bool:

@@ -102,9 +102,9 @@ def count_unit(name: str) -> str | None:
     return {"radps": "rad/s", "degps": "deg/s"}.get(own or "") or next(named, None)
 
 
-def is_lap(name: str) -> bool:
-    """Return whether a column's name says that it counts laps."""
-    return re.fullmatch(_names()["parts"]["lap"], stem_and_unit(name)[0]) is not None
+def excludes(text: str, valid: bool) -> bool:
+    """Return whether a remark, or the answer whether a run is `valid`, leaves it out."""
+    return re.search(_names()["parts"]["bad"] + r"|^(no?|non|nein|nej|nie)$" * valid, plain_text(text)) is not None
 
 
 def guessed_table_column(name: str) -> str | None:
@@ -221,10 +221,8 @@ _RISES: Final = 0.98
 _JUMP, ONE_TURN = 0.75, 1.001
 #: a clock's steps are off the usual one by no more, for this share of them
 _EVEN, _MOSTLY = 0.05, 0.9
-#: correlation of a counter's steps with the next: a smooth drive nearly 1, a speed's noise -0.5
 _ALIKE: Final = 0.2
-#: share of its span by which increments of a driving wheel differ from those of a standing one, and of their steps that
-#: turn back
+#: of its span, by which increments of a drive leave those at rest; of their steps, those back
 _AWAY: Final = 0.25
 RISES: Final = "rises without a break"
 _TURNS: Final = {2 * np.pi: "an angle that starts again after 2 pi", 360.0: "an angle that starts again after 360"}
@@ -250,7 +248,7 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
         if _JUMP * turn < span <= ONE_TURN * turn and jumps.any() and steady:
             return words
     # what moves goes on: a counter's steps are alike from one to the next, but where it starts again; increments' are
-    # not, or they stay about a level, up and down, between two standstills
+    # not, or they go up and down about a level
     away = np.abs(values[1:] - values[0]) > _AWAY * span
     turns = steps[away & (steps != 0)]
     level = abs(values[-1] - values[0]) < 0.1 * _AWAY * span and away.mean() > 0.5

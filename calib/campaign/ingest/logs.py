@@ -28,7 +28,7 @@ from calib.campaign.logs import (
     unwrap,
 )
 from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, Border, Campaign, Note
-from calib.campaign.readers import RawTable, holds_recording, joined_table, read_recording, read_table
+from calib.campaign.readers import RawTable, Wanted, holds_recording, joined_table, read_recording, read_table
 from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
@@ -62,8 +62,8 @@ class MappedLog:
 def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campaign, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
-    `files`: one file, or a rosbag2 folder, under an empty name; or those of a run by the names of ``log.files``. Raises
-    BadFileError where a column that the mapping names is missing, or the file has no clock or no wheels.
+    `files`: one under an empty name, or those of a run by the names of ``log.files``. Raises BadFileError where a
+    column that the mapping names is missing, or the file has no clock or no wheels.
     """
     path = next(iter(files.values()))
     shown = str(path)
@@ -72,11 +72,11 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campa
         lines[CUT_COLUMN] = MappedColumn(column=mapping.cut.column)
     lags: dict[str, Lag] = {}
     bits = settings.encoder.wrap_bits
-    raw = RawTable({}, np.zeros(0, dtype=np.int64))
-    if "" in files and not holds_recording(path):
+    raw, one_table = RawTable({}, np.zeros(0, dtype=np.int64)), "" in files and not holds_recording(path)
+    if one_table:
         raw, lines = _table(path, shown, lines, mapping, border)
-    if not len(raw.line) or _with_empty_cells(raw.columns, lines):
-        if "" in files and holds_recording(path):
+    if not one_table or _empty_cells(raw.columns, lines):
+        if "" in files and not one_table:
             recording = _recording(path, shown, lines, mapping)
         else:
             recording = _gathered(files, lines, mapping)
@@ -108,12 +108,15 @@ def _table(
     def wanted(name: str) -> bool:
         return name in sources or without_unit(name) in sources or in_log(name)
 
-    book, sheet = sheet_of(path)
-    layout = mapping.log.layout if sheet is None else replace(mapping.log.layout, sheet=sheet)
-    raw = read_table(book, shown, wanted, layout)
+    raw = _read(path, wanted, mapping)
     lines = resolved(lines, raw.columns)
     _refuse_missing(raw.columns, lines, shown, mapping, row=1)
     return replace(raw, columns=_with_heading(raw.columns, lines, shown, border)), lines
+
+
+def _read(path: Path, wanted: Wanted, mapping: Mapping) -> RawTable:
+    book, sheet = sheet_of(path)
+    return read_table(book, str(path), wanted, replace(mapping.log.layout, sheet=sheet or mapping.log.sheet))
 
 
 def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Recording:
@@ -138,7 +141,7 @@ def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> 
         def wanted(name: str, sources: set[str] = sources) -> bool:
             return name in sources or without_unit(name) in sources or log_column(name).name == "t_s"
 
-        raw = read_table(path, str(path), wanted, mapping.log.layout)
+        raw = _read(path, wanted, mapping)
         own = next((name for name in raw.columns if log_column(name).name == "t_s"), clock.column)
         time = whole_name(clock.column, raw.columns)
         time = time if time in raw.columns else whole_name(own, raw.columns)
@@ -154,12 +157,11 @@ def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> 
         order = np.argsort(time_ns, kind="stable")
         columns = {before + name: cells[order] for name, cells in raw.columns.items() if name != time}
         notes += raw.notes
-        if not _with_empty_cells(columns, lines):
+        if not (n_empty := _empty_cells(columns, lines)):
             streams.append(Stream(tag, "file", columns, time_ns[order], "times of the file"))
             continue
-        notes.append(
-            Note("info", str(path), "cells of wheels are empty: each column has times of its own", "empty_cells")
-        )
+        text = f"{n_empty} cells of wheels are empty: each column has times of its own"
+        notes.append(Note("info", str(path), text, "empty_cells"))
         for names in grouped((np.isfinite(cells).tobytes(), name) for name, cells in columns.items()).values():
             rows = np.isfinite(columns[names[0]])
             own_columns = {name: columns[name][rows] for name in names}
@@ -178,9 +180,9 @@ def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Map
             raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
 
 
-def _with_empty_cells(columns: MappingType[str, FloatArray], lines: Lines) -> bool:
+def _empty_cells(columns: MappingType[str, FloatArray], lines: Lines) -> int:
     of_wheels = (one for name, one in lines.items() if name.startswith(("counts_", "speed_")) and one.column in columns)
-    return any(one.wheel_unit != "counts/sample" and np.isnan(columns[one.column]).any() for one in of_wheels)
+    return sum(int(np.isnan(columns[one.column]).sum()) for one in of_wheels if one.wheel_unit != "counts/sample")
 
 
 def _of_all_wheels(raw: RawTable, lines: Lines, shown: str, border: Border) -> RawTable:

@@ -32,8 +32,7 @@ _LOG_FILE: Final = (
     'as "Run_{n:02}.csv" or "{date}_{time}_TR{n}.csv"'
 )
 _LOG_FILES: Final = (
-    'names and patterns that hold {run_id} or {n}, as {left = "run{n:02}_left.csv", right = "run{n:02}_right.csv"}; '
-    'columns are then called counts_left = "left:ticks"'
+    'names and patterns that hold {run_id} or {n}, as {left = "run{n}_left.csv", right = "run{n}_right.csv"}'
 )
 OF_A_RUN: Final = r"\{(run_id|n(-1)?(:0?\d+)?)\}"
 _NOT_NEGATIVE: Final = "a number, not below 0"
@@ -308,7 +307,7 @@ def read_mapping(path: Path | None) -> Mapping:
     cut = parse_section(Segmentation, document.pop("cut"), shown, "cut") if "cut" in document else None
     for tag, pattern in log.files.items() if cut is None else ():
         if not re.search(OF_A_RUN, pattern):
-            expected = f"{_LOG_FILES}; or a section [cut], where they hold many runs"
+            expected = f"{_LOG_FILES}; or [cut], for many runs"
             raise bad_line(shown, "log", f"files.{tag}", pattern, expected)
     table_file = inside(path.parent, table.file, named_in=shown, column="table.file") if path and table.file else None
     return Mapping(shown, table, log, cut, document, table_file)

@@ -4,7 +4,6 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest.contents import ColumnContents, FileContents
@@ -63,6 +62,7 @@ _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.I
 #: stem of a pose that no tracker is named in: the vehicle's own, perhaps
 _NO_TRACKER: Final = re.compile(r"((robot|base)_)?(pose?|pos(ition)?)?_?(x|y|theta|yaw|heading)")
 _BESIDE: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
+_COMPASS: Final = "   # clockwise, of a compass? x = north; factor = -1 here and for y = east"
 SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
 
 
@@ -131,6 +131,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         unit, remark = _time_unit(clock) if clock.even else (None, "")
         lines.append(entry("t_s", clock, unit) + remark.replace("names no unit", "rises in even steps"))
         columns.remove(clock)
+    x = found.get("ref_x_m")
     for target, column in found.items():
         # in the log of the wheels a pose without the name of a tracker may be the vehicle's own
         own = not log.recording and _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None
@@ -138,7 +139,12 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         if target == "ref_x_m" and (own or (reference and reference.kind == _ODOMETRY)):
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
-            lines.append(_line(target, column, log) + (_BESIDE if column is bearing else ""))
+            east = (
+                re.match("(.*_)?(ost|este?|east)", stem_and_unit(x.name)[0])
+                if x and target == "ref_theta_rad"
+                else None
+            )
+            lines.append(_line(target, column, log) + (_COMPASS if east else _BESIDE if column is bearing else ""))
         if target == "ref_theta_rad" and (_OF_QUATERNION.search(column.name) or _w(column) in others - {column.name}):
             lines[-1] = _quaternion_line(column, columns)
     lines += _wheel_lines(found, columns, streams)
@@ -355,16 +361,13 @@ def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Seque
     out = [] if timed else ['#t_s = ""   # no column looks like times; every log needs them']
     if not any(name.startswith(("counts_", "speed_", "v_mps")) for name in named):
         out += [
-            '#counts_left = ""   # no column looks like a wheel: name those of the encoders, with unit = "rad/s", ...',
-            '#counts_right = ""   # where they count nothing; of one wheel in front counts_front and steer_rad;',
-            "#   of speeds in m/s speed_left_mps, speed_right_mps; speed_rear_mps, steer_rad; or v_mps, omega_radps",
+            '#counts_left = ""   # no column looks like a wheel: name the encoders, with unit = "rad/s", ...',
+            '#counts_right = ""   # where they count nothing; of one wheel in front counts_front, steer_rad;',
+            "#   of speeds speed_left_mps, speed_right_mps; speed_rear_mps, steer_rad; or v_mps, omega_radps",
         ]
     return out
 
 
 def _kinds(logs: Sequence[FileContents]) -> list[str]:
-    kinds = {tuple(column.name for column in log.columns): log for log in logs if not log.recording}
-    if len(kinds) < 2:
-        return []
-    names = ", ".join(Path(log.name).name for log in kinds.values())[:110]
-    return [f"# {len(kinds)} kinds of logs ({names}): parts of a run are joined by files = {{...}}"]
+    kinds = {tuple(column.name for column in log.columns) for log in logs if not log.recording}
+    return [f"# {len(kinds)} kinds of logs: those of a run are joined by files = {{...}}"] if len(kinds) > 1 else []

@@ -58,7 +58,7 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
     def of(target: str) -> list[ColumnContents]:
         return [column for column in table.columns if targets[column.name] == target]
 
-    # a date is the session where nothing else is, an axle's load that of wheels, a length the distance of an instrument
+    # where nothing else is: a date for the session, an axle's load, a length that no instrument measured
     dates = [one for one in of("session") if stem_and_unit(one.name)[0] in {"datum", "date", "messdatum"}]
     passed_over = dates if len(of("session")) > len(dates) else []
     passed_over += of(_AXLE) if set(WHEEL_LOADS) & set(targets.values()) else []
@@ -103,9 +103,21 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
         lines.append('#run_id = ""   # the column that names the runs' if unnamed else number)
     if "kind" not in named:
         lines.append('kind = {value = "corridor"}   # the route, where the table does not say')
+    lines += _exclusion_lines(table, named)
     for what, names in left.items():
         lines += [f"# {what}: {', '.join(names)[:110]}"] if names else []
     return lines
+
+
+def _exclusion_lines(table: FileContents, named: set[str]) -> list[str]:
+    # remarks, or a no in a column of valid runs
+    out = []
+    for column in table.columns if "excluded" not in named else ():
+        valid = re.search("gueltig|valid|^ok", stem_and_unit(column.name)[0]) is not None
+        values = {text: guesses.excludes(text, valid) for text in column.texts}
+        if any(values.values()):
+            out.append(f"#{entry('excluded', column, None, {'values': values})}   # leaves these runs out")
+    return out
 
 
 def _names_logs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
@@ -273,7 +285,7 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
         return {}
     pairs = zip(whole, groups, strict=True)
     runs = set.intersection(*({run_in(Path(log.name).stem, pattern) for log in group} for pattern, group in pairs))
-    # of one session each with a clock, or they are not of one time
+    # those of a session have clocks
     if not runs or (runs == {None} and not all(has_clock(group[0]) for group in groups)):
         return {}
     words = [re.findall(r"[^\W_]+", re.sub(r"\{.*?\}", " ", pattern)) for pattern in whole]

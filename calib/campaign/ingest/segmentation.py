@@ -20,7 +20,6 @@ from calib.errors import BadFileError
 from calib.types import BoolArray, FloatArray, in_frame
 
 _TOGGLE_COUNTS: Final = 3.0
-#: by which a standing wheel may differ from its last count
 _STANDING_COUNTS: Final = 1.5
 _WINDOW_S: Final = 0.5
 _STANDSTILL_S: Final = 0.5

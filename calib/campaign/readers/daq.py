@@ -1,6 +1,6 @@
 """Files of measuring programs: MATLAB files of version 5 to 7.2, and TDMS files with the ``tdms`` extra.
 
-MATLAB's objects are never loaded; its element tree is checked before a reader in C, which trusts every tag.
+MATLAB's element tree is checked before a reader in C, which trusts every tag.
 """
 
 import logging

@@ -31,7 +31,6 @@ from calib.errors import BadFileError
 from calib.types import FloatArray, grouped, unit_named
 
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
-#: delimiter -> all bytes but it and line feeds
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
 _HEAD_BYTES: Final = 1 << 16
 #: tables of numbers up to so many bytes are read without pandas, whose import takes longer
@@ -308,7 +307,7 @@ def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
     except UnicodeError:
         if encoding:
             raise BadFileError(shown, "broken UTF-16 text", "whole characters", "export the file again") from None
-        # within words: letters of Central Europe, in Latin-1 superscripts and controls
+        # within words no superscripts
         central = re.search(rb"[A-Za-z][\xb3\xb9\xbf\x9a-\x9f][a-z]", data) is not None
         data = data.decode("cp1250" if central else "latin-1", errors="replace").encode("utf-8")
         name = "Windows-1250" if central else "Latin-1"

@@ -1,8 +1,4 @@
-"""Recordings: streams with clocks of their own in integer nanoseconds; the readers of TUM trajectories and of ROS.
-
-A TUM trajectory (``.tum``) has lines of ``timestamp tx ty tz qx qy qz qw``, with ``#`` before remarks. ROS, with the
-``ros`` extra: ROS 1 bags, rosbag2 folders and files (sqlite3, MCAP), plain MCAP.
-"""
+"""Recordings: streams with clocks of their own in integer nanoseconds; the readers of TUM trajectories and of ROS."""
 
 import math
 import re

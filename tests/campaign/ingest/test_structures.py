@@ -137,7 +137,7 @@ def test_files_of_a_session_are_joined_and_cut(tmp_path: Path) -> None:
     np.testing.assert_allclose(ends, DISTANCES_M, atol=0.005)
     # without a cut the names have to say which run they are of
     (tmp_path / "m.toml").write_text(text.partition("[cut]")[0])
-    with pytest.raises(CalibError, match=r"files\.camera: found 'camera\.csv'.*or a section \[cut\]"):
+    with pytest.raises(CalibError, match=r"files\.camera: found 'camera\.csv'.*or \[cut\]"):
         ingest(_session(tmp_path), tmp_path / "c", mapping=tmp_path / "m.toml")
 
 
@@ -228,3 +228,70 @@ def test_letters_of_sides(names: tuple[str, str], texts: tuple[str, str], tmp_pa
 def test_texts_of_central_europe_keep_their_letters(encoding: str, name: str, tmp_path: Path) -> None:
     (tmp_path / "t.csv").write_bytes(f"Nr;{name}\n1;5,0\n2;6,0\n3;5,5\n".encode(encoding))
     assert name in describe([tmp_path / "t.csv"]).to_toml()
+
+
+def test_of_two_bodies_the_one_that_moves_is_the_vehicle(tmp_path: Path) -> None:
+    """A tracker's export names its bodies above the header; a station stands still beside the vehicle."""
+    head = [
+        "Format Version,1.23,Take Name,T,Export Frame Rate,20.000000,Length Units,Meters",
+        "",
+        ",Type," + ",".join(["Rigid Body"] * 6),
+        ",Name," + ",".join(["Dock"] * 3 + ["Cart"] * 3),
+        ",ID,1,1,1,2,2,2",
+        ",," + ",".join(["Position"] * 6),
+        "Frame,Time (Seconds),X,Y,Z,X,Y,Z",
+    ]
+    rows = [
+        f"{k},{t:.4f},1.5,0.2,0.7,{0.1 + 1e-4 * k:.4f},0.3,{p:.4f}"
+        for k, (t, p) in enumerate(zip(TIME_S, PATH_M, strict=True))
+    ]
+    (tmp_path / "r1_take.csv").write_text("\n".join([*head, *rows]) + "\n")
+    (tmp_path / "r1_wheels.csv").write_text(_text({"t_s": TIME_S, "ticks_left": _counts(0), "ticks_right": _counts(0)}))
+    text, made = _proposed(tmp_path, tmp_path / "r1_take.csv", tmp_path / "r1_wheels.csv")
+    assert 'ref_x_m = "take:Cart:Position Z [m]"' in text and "bodies: take:Dock, take:Cart" in text
+    np.testing.assert_allclose(made.logs.of(0)["ref_x_m"], PATH_M, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("column", "texts"),
+    [
+        ("Bemerkung", ("ungültig", "", "Tür offen")),
+        ("valid", ("no", "yes", "yes")),
+    ],
+)
+def test_remarks_that_void_a_run_are_offered_as_exclusions(column: str, texts: tuple[str, ...], tmp_path: Path) -> None:
+    """Commented out, and taken by ingest where the user takes the mark away."""
+    rows = [f"{k + 1};{10 + k}.5;{text}" for k, text in enumerate(texts)]
+    (tmp_path / "t.csv").write_text("\n".join([f"Run;Distance [m];{column}", *rows]) + "\n")
+    text = describe([tmp_path / "t.csv"]).to_toml()
+    assert "#excluded = " in text
+    (tmp_path / "m.toml").write_text(text.replace("#excluded", "excluded"))
+    runs = ingest([tmp_path / "t.csv"], tmp_path / "c", mapping=tmp_path / "m.toml", dry_run=True).campaign.runs
+    assert runs.excluded.tolist() == [True, False, False]
+
+
+def test_a_heading_beside_east_and_north_may_be_a_compass(tmp_path: Path) -> None:
+    own = {"t_s": TIME_S, "ticks_left": _counts(0), "ticks_right": _counts(0)}
+    for names, hinted in ((("east_m", "north_m", "heading_deg"), True), (("cam_x_m", "cam_y_m", "cam_yaw_deg"), False)):
+        (tmp_path / "a.csv").write_text(
+            _text(own | dict(zip(names, (PATH_M, 2 * PATH_M, 0 * TIME_S + 30), strict=True)))
+        )
+        text = describe([tmp_path / "a.csv"]).to_toml()
+        assert ("of a compass" in text) == hinted
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_a_table_of_unknown_names_is_no_log(beside: bool, tmp_path: Path) -> None:
+    """Texts, and no clock: rows of runs. Letters alone are no direction."""
+    rows = [f"{k};{'AB'[k % 2]};{300 + k % 3},0;{310 + k % 4},0;{10 + k % 5},5" for k in range(1, 10)]
+    (tmp_path / "t.csv").write_text(
+        "Passo nr.;Squadra;Carico sx [N];Carico dx [N];Spazio [m]\n" + "\n".join(rows) + "\n"
+    )
+    sources = [tmp_path / "t.csv"]
+    if beside:
+        (tmp_path / "a.csv").write_text(_text({"t_s": TIME_S, "ticks_left": _counts(0), "ticks_right": _counts(0)}))
+        sources.append(tmp_path / "a.csv")
+    text = describe(sources).to_toml()
+    assert "[table]" in text
+    assert 'load_left_N = "Carico sx [N]"' in text and 'distance_m = "Spazio [m]"' in text
+    assert "direction" not in text
