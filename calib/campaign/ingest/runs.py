@@ -247,7 +247,7 @@ def match_logs(
 ) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
     """Return each run's files by the names of ``log.files``, a single one under an empty name; and missing logs' names.
 
-    Raises BadFileError where no run finds its log, or a run finds two.
+    Raises BadFileError where no run finds its log, or two; see `mapped_runs`.
     """
 
     def unmatched(index: int, found: str) -> BadFileError:

@@ -194,8 +194,8 @@ def numbers(
 ) -> tuple[FloatArray, bool]:
     """Return cells as numbers, NaN where empty, and whether a decimal comma was read.
 
-    Raises BadFileError at the first cell that is no finite number, or could be read in two ways. `decimal_comma`: of
-    `comma_evidence`; without, ``1,234`` is refused.
+    Raises BadFileError at the first cell that is no finite number, or could be read in two ways.
+    `decimal_comma`: see `comma_evidence`; without, ``1,234`` is refused.
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)
