@@ -84,7 +84,6 @@ def test_the_package_carries_what_it_needs_beside_code() -> None:
     """Data files that code opens are inside the package, so that an installed wheel has them."""
     for name in (
         "py.typed",
-        "campaign/ingest/blank.toml",
         "campaign/ingest/names.toml",
         "coefficients/formats/c_header.h.j2",
         "coefficients/formats/c_runtime.h",

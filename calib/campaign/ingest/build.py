@@ -12,12 +12,21 @@ import numpy as np
 from calib.campaign.ingest.contents import listed_files
 from calib.campaign.ingest.logs import MappedLog, read_mapped
 from calib.campaign.ingest.mapping import SHEET, Mapping, bad_line, read_mapping
-from calib.campaign.ingest.runs import files_of_sheets, mapped_runs, match_logs, names_runs, runs_of_files, with_lookups
+from calib.campaign.ingest.runs import (
+    files_of_runs,
+    files_of_sheets,
+    mapped_runs,
+    match_logs,
+    names_runs,
+    sheet_of,
+    with_lookups,
+)
 from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
 from calib.campaign.logs import LogStack, detect_wrap_bits
 from calib.campaign.model import Border, Campaign, Note, RunTable, stacked
 from calib.campaign.readers import RawTable, holds_recording, read_table
 from calib.campaign.readers.table import object_array
+from calib.campaign.readers.workbook import sheet_names
 from calib.campaign.settings import WHEEL_LOADS, Encoder, OdometryModel
 from calib.campaign.settings_file import parse_settings
 from calib.campaign.tables import csv_bytes, write_campaign
@@ -28,7 +37,6 @@ from calib.types import Progress, grouped, silent, stepped
 
 RECORDINGS: Final = "recordings"
 _SMALL_BYTES: Final = 1 << 16
-#: in a merged note
 _LISTED_ROWS: Final = 8
 _NUMBER: Final = re.compile(r"(?<![\w.])[+-]?\d+(?:\.\d+)?(?![\w.:-])")
 
@@ -41,9 +49,7 @@ class Ingested:
     campaign: Campaign
     #: path as given -> SHA-256
     sources: MappingType[str, str]
-    #: what was recognised, converted and omitted
     notes: tuple[Note, ...]
-    #: each run's part of its recording
     cuts: tuple[Segment, ...] = ()
 
     @property
@@ -65,13 +71,12 @@ class _Ingestion:
     progress: Progress
     #: path -> SHA-256
     hashes: dict[str, str] = field(default_factory=dict)
-    #: whole recordings by name, and each run's part
     recordings: dict[str, MappedLog] = field(default_factory=dict)
     segments: list[Segment] = field(default_factory=list)
 
     def read_log(self, files: MappingType[str, Path]) -> MappedLog:
         log = read_mapped(files, self.mapping, self.settings, self.border)
-        for path in files.values():
+        for path, _ in map(sheet_of, files.values()):
             parts = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
             self.hashes |= {str(part): sha256_file(part) for part in parts}
         return log
@@ -154,26 +159,13 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
     if work.mapping.cut is not None:
         if not files:
             raise BadInputError("sources: found no recording to cut; expected one beside the run table; name it")
-        read = {path: work.read_log({"": path}) for path in stepped(files, work.progress, "recordings")}
+        groups = [*files_of_runs(files, work.mapping.log).values()] or [{"": path} for path in files]
+        read = {next(iter(one.values())): work.read_log(one) for one in stepped(groups, work.progress, "recordings")}
         runs, logs, work.recordings, work.segments = segment_recordings(
             runs, table, read, work.mapping, work.settings, work.border
         )
     else:
-        shown = str(first)
-        matched = None
-        if runs is None:
-            # each file is a run, called by its name, unless several are one
-            several = runs_of_files(files, work.mapping.log)
-            names = object_array(several or [path.stem for path in files])
-            shown = "the files given"
-            raw = RawTable({"run_id": names}, np.arange(1, len(names) + 1, dtype=np.int64))
-            runs = mapped_runs(raw, work.mapping, work.settings, shown, work.border)
-            matched = None if several else {index: {"": path} for index, path in enumerate(files)}
-        missing: dict[int, str] = {}
-        if matched is None:
-            matched, missing = match_logs(runs, files, work.mapping.log, shown, work.border)
-        logs = work.read_logs(matched)
-        runs = _without_logs(runs, missing, shown, work.border)
+        runs, logs = _runs_with_logs(first, table, runs, files, work)
     _exchange_wheels(runs, logs, work)
     runs = _with_ends(runs, logs)
     encoder = _with_wrap_bits(logs, work)
@@ -186,6 +178,27 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
     return replace(
         work.settings, model=model, encoder=encoder, runs=runs, logs=finished, notes=tuple(work.border.notes)
     )
+
+
+def _runs_with_logs(
+    first: Path, table: RawTable | None, runs: RunTable | None, files: Sequence[Path], work: _Ingestion
+) -> tuple[RunTable, dict[int, MappedLog]]:
+    shown = str(first)
+    matched: dict[int, dict[str, Path]] | None = None
+    missing: dict[int, str] = {}
+    if runs is None:
+        several = [*files_of_runs(files, work.mapping.log)]
+        names = object_array(several or [path.stem for path in files])
+        shown = "the files given"
+        raw = RawTable({"run_id": names}, np.arange(1, len(names) + 1, dtype=np.int64))
+        runs = mapped_runs(raw, work.mapping, work.settings, shown, work.border)
+        matched = None if several else {index: {"": path} for index, path in enumerate(files)}
+    if matched is None:
+        if work.mapping.log.run_sheet and not files:
+            files = [first / name for name in sheet_names(first, shown)]
+        matched, missing = match_logs(runs, files, work.mapping.log, shown, work.border, table)
+    logs = work.read_logs(matched)
+    return _without_logs(runs, missing, shown, work.border), logs
 
 
 def _with_reference_load(work: _Ingestion, runs: RunTable) -> OdometryModel:
@@ -210,7 +223,9 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
     if named and not names_runs(raw, work.mapping):
         return None
     mapped = any(line.column for line in work.mapping.table.columns.values())
-    log_columns = {line.column for line in work.mapping.log.columns.values() if line.column} or {"t_s"}
+    # of several files as file:column
+    sources = [line.column for line in work.mapping.log.columns.values()]
+    log_columns = {*sources, *(name.partition(":")[2] for name in sources)} - {""} or {"t_s"}
     if not mapped and not names_runs(raw, work.mapping) and log_columns & set(raw.columns):
         return None
     work.hashes[str(path)] = sha256_file(path)

@@ -1,5 +1,6 @@
 """The files of sources and their contents: columns, sheets, streams with their clocks."""
 
+import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -13,6 +14,7 @@ import numpy.typing as npt
 from calib.campaign import readers
 from calib.campaign.ingest import guesses
 from calib.campaign.ingest.guesses import count_unit, guessed_table_column, rises_evenly, stem_and_unit, usual_step
+from calib.campaign.ingest.mapping import LogSection
 from calib.campaign.logs import detect_wrap_bits
 from calib.campaign.model import Note
 from calib.campaign.readers import Layout, RawTable, read_recording, read_table, table
@@ -21,15 +23,10 @@ from calib.campaign.settings import bracketed
 from calib.errors import BadFileError, BadInputError
 from calib.types import IntArray
 
-#: a table of the only format with sheets
 WORKBOOK: Final = ".xlsx"
-#: of a column
 _LISTED_TEXTS: Final = 6
-#: of so few rows a column of whole numbers is no counter
 _FEW_ROWS: Final = 40
-#: share of readable cells in a column of numbers
 _MOSTLY_NUMBERS: Final = 0.8
-#: names of a first column that calib knows by chance
 _LEAST_NAMES: Final = 2
 
 
@@ -77,24 +74,25 @@ class ColumnContents:
     name: str
     #: ``number``, ``text``, ``time`` or ``empty``
     kind: str
-    #: by name or file
     unit: str = ""
     low: float | None = None
     high: float | None = None
-    #: where few
     texts: tuple[str, ...] = ()
     n_empty: int = 0
-    #: of the counter that it looks like
     wrap_bits: int | None = None
     whole: bool = False
-    #: of times
     form: str = ""
-    #: of `behaviour`
     does: str = ""
     #: median step other than 0; of times in s
     step: float = 0.0
-    #: rises in even steps, like a clock
     even: bool = False
+    #: as the distance to a target ahead
+    falls: bool = False
+
+    @property
+    def span(self) -> float:
+        """Largest less smallest number."""
+        return (self.high or 0.0) - (self.low or 0.0)
 
     def words(self, alike: "Sequence[ColumnContents]") -> str:
         """Return the column in words; `alike`: that of all files of its kind."""
@@ -120,16 +118,13 @@ class FileContents:
 
     name: str
     recording: bool
-    #: or samples of the longest stream
     n_rows: int
     columns: tuple[ColumnContents, ...]
-    #: what was recognised
     remarks: tuple[str, ...]
     streams: tuple[StreamContents, ...] = ()
     properties: Mapping[str, str] = field(default_factory=dict)
     #: of a workbook; empty: the first with a table
     sheet: str = ""
-    #: other sheets with tables
     others: Mapping[str, tuple[ColumnContents, ...]] = field(default_factory=dict)
     #: of the same columns, this one among them; empty where alone
     alike_sheets: tuple[str, ...] = field(default=(), metadata={"json": False})
@@ -193,7 +188,7 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
     columns = tuple(_column_contents(name, raw, shown, evidence, notes) for name in raw.columns)
     remarks = [one.text if one.where == shown else f"{one.where.partition(', ')[2]}: {one.text}" for one in notes]
     if layout.runs_in_columns:
-        remarks.append("each run stands in a column; what follows is the table turned, and its rows are those columns")
+        remarks.append("each run stands in a column; what follows is the table turned")
     rows = len(raw.line)
     return FileContents(shown, False, rows, columns, tuple(remarks), runs_in_columns=layout.runs_in_columns)
 
@@ -256,6 +251,7 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
         does="" if bits or len(known) <= _FEW_ROWS else guesses.behaviour(known, whole=whole),
         step=usual_step(known),
         even=rises_evenly(known),
+        falls=float(known[0] - known[-1]) > 0.5 * float(np.ptp(known)),
     )
 
 
@@ -300,3 +296,58 @@ def wrapped(text: str, lead: str, hanging: str = "  ") -> list[str]:
     """Return a text as remarks, further lines indented."""
     lines = textwrap.TextWrapper(78, lead, lead + hanging, break_long_words=False, break_on_hyphens=False)
     return lines.wrap(text)
+
+
+def run_number(run_id: str, pattern: str | None) -> int | None:
+    """Return the number in a run's name by a pattern (``Run {n}``), or the last number in it."""
+    if pattern is None:
+        numbers = re.findall(r"\d+", run_id)
+        return int(numbers[-1]) if numbers else None
+    before, _, after = pattern.partition("{n}")
+    match = re.fullmatch(re.escape(before) + r"\s*0*(\d+)\s*" + re.escape(after), run_id.strip(), re.IGNORECASE)
+    return int(match[1]) if match else None
+
+
+_PARTS: Final = {
+    "{date}": r"\d{2,4}[-_.]?\d{2}[-_.]?\d{2,4}",
+    "{time}": r"\d{2}[-_.:h]?\d{2}([-_.:m]?\d{2})?s?([.,_]\d+)?",
+    "*": r".*",
+    "{run_id}": r"(?P<run>.+)",
+    "{n": r"0*(?P<run>\d+)",
+}
+
+
+def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
+    """Return the name of a run's log by the pattern; None without a pattern, or a number in the run's name.
+
+    `pattern`: of ``log.files``; else ``log.file``.
+    """
+    pattern = pattern or log.file
+    name = None if pattern is None else pattern.replace("{run_id}", run_id)
+    if name is None or "{n" not in name:
+        return name
+    number = run_number(run_id, log.run)
+    return None if number is None else with_number(name, number)
+
+
+def with_number(pattern: str, number: int) -> str:
+    """Return a pattern with a number for its ``{n}``, ``{n:03}`` or ``{n-1}``."""
+    form = r"\{n(-1)?(?::0?(\d+))?\}"
+    return re.sub(form, lambda match: str(number + int(match[1] or 0)).zfill(int(match[2] or 0)), pattern)
+
+
+def fits_name(name: str, wanted: str) -> bool:
+    """Return whether a file's name is the wanted one of `expected_name`, in any letter case."""
+    return _match(name, wanted.replace("\\", "/").rpartition("/")[2]) is not None
+
+
+def run_in(name: str, pattern: str) -> str | None:
+    """Return what a file's name has for ``{n}`` or ``{run_id}``; None where it does not fit."""
+    match = _match(name, pattern)
+    return match.groupdict().get("run") if match else None
+
+
+def _match(name: str, pattern: str) -> re.Match[str] | None:
+    parts = re.split(r"(\{[a-z][^}]*\}|\*)", pattern)
+    form = "".join(_PARTS.get(part[:2] if part[:2] == "{n" else part, re.escape(part)) for part in parts)
+    return re.fullmatch(form, name, re.IGNORECASE)

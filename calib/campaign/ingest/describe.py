@@ -4,13 +4,12 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest.contents import (
     WORKBOOK,
+    ColumnContents,
     FileContents,
     described,
     file_contents,
@@ -18,10 +17,10 @@ from calib.campaign.ingest.contents import (
     together,
     wrapped,
 )
-from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column
+from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column, shipped
 from calib.campaign.ingest.mapping import MappedColumn
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
-from calib.campaign.ingest.proposal_table import file_lines, run_column, table_lines
+from calib.campaign.ingest.proposal_table import file_lines, files_of_a_run, has_clock, run_column, table_lines
 from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.settings import recognise
@@ -31,17 +30,12 @@ from calib.errors import BadInputError
 from calib.io import refuse_existing, write_text
 from calib.types import grouped
 
-#: files of one kind all read; of more, the first and the last
 _ALL_READ: Final = 40
-#: in a run table; means, remarks and runs without a log count
-MOST_ROWS_A_LOG: Final = 2
 #: with a column that no log has, they show a run table without names
 _LENGTHS: Final = frozenset({"distance_m", "counts_left", "counts_right"})
 _OF_RUNS: Final = frozenset(
     {"session", "direction", "kind", "payload_kg", "load_axle_N", "load_left_N", "load_right_N", "temperature_C"}
 )
-#: times further apart are of runs, not of a log's samples
-_SHORTEST_RUN_S: Final = 5.0
 _OF_SPEEDS: Final = {"counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',)}
 #: counted instead of two rear wheels -> key of the settings -> its lines, empty for the usual line
 _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
@@ -62,16 +56,10 @@ _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     },
 }
 
-#: of an empty run table
 RUNS_HEADER: Final = (
     "run_id,session,kind,direction,payload_kg,payload_x_m,payload_y_m,speed_mps,distance_m,"
     "counts_left,counts_right,log,excluded,exclusion_reason"
 )
-
-
-@cache
-def _blank_settings() -> str:
-    return resources.files("calib.campaign.ingest").joinpath("blank.toml").read_text(encoding="utf-8")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +68,9 @@ class Description:
 
     #: looked into, the run table first
     files: tuple[FileContents, ...]
-    #: with those not looked into
     n_files: int
-    #: the run table
     table: FileContents | None
     mapping: tuple[str, ...]
-    #: as the command line takes them
     sources: tuple[str, ...]
 
     def to_toml(self) -> str:
@@ -125,47 +110,51 @@ def describe(sources: Sequence[Path]) -> Description:
     if not any(file.n_rows for file in files):
         expected = "a row a run, or a row a sample"
         raise BadInputError(f"{files[0].name}: found a header and no rows; expected {expected}; export it again")
-    table = _run_table(files, len(paths))
+    table = _run_table(files)
     logs = [file for file in files if file is not table]
-    alike = table is not None and not _has_clock(table) and all(file.alike(table) for file in files)
+    alike = table is not None and not has_clock(table) and all(file.alike(table) for file in files)
     whole = replace(table, columns=together(files)) if table is not None and alike else table
     beside = [file for file in logs if table is not None and not alike and _may_be_joined(file, table)]
     if whole is not None:
         whole = replace(whole, others={**whole.others, **{Path(file.name).stem: file.columns for file in beside}})
-    lines = _mapping_lines(whole, [] if alike else [file for file in logs if file not in beside])
+    apart = [] if alike else [file for file in logs if file not in beside]
+    lines = _mapping_lines(whole, apart or (_sheets_of_runs(table) if table is not None else []))
     # the table has to be named first, also one found in a folder
     given = [str(source) for source in sources]
     ordered = given if table is None else [table.name, *(source for source in given if source != table.name)]
     return Description((*([table] if table else ()), *logs), len(paths), table, tuple(lines), tuple(ordered))
 
 
+def _sheets_of_runs(table: FileContents) -> list[FileContents]:
+    sheets = (FileContents(name, False, 0, columns, (), sheet=name) for name, columns in table.others.items())
+    alike = grouped((tuple(column.name for column in sheet.columns), sheet) for sheet in sheets)
+    return next((group for group in alike.values() if len(group) > 1 and has_clock(group[0])), [])
+
+
 def _may_be_joined(file: FileContents, table: FileContents) -> bool:
     of_runs = run_column(table) is not None and run_column(file) is not None and file.n_rows >= table.n_rows
-    return of_runs and not _has_clock(file) and not table.name.endswith(WORKBOOK)
+    return of_runs and not has_clock(file) and not table.name.endswith(WORKBOOK)
 
 
-def _run_table(files: Sequence[FileContents], n_files: int) -> FileContents | None:
+def _run_table(files: Sequence[FileContents]) -> FileContents | None:
     best, best_score = None, 0
     for file in files:
         guesses = {guessed_table_column(column.name) for column in file.columns} - {None}
         timed = any(guessed_log_column(column.name) == "t_s" for column in file.columns)
         score = len(guesses) + 3 - 4 * timed
-        named = "run_id" in guesses or (guesses >= _LENGTHS and guesses & _OF_RUNS and not _has_clock(file))
+        runs = run_column(file)
+        # of a log cut by a column each run has many rows
+        single = runs is not None and (runs.kind != "number" or 2 * runs.span + 2 > file.n_rows)
+        named = single or (guesses >= _LENGTHS and guesses & _OF_RUNS and not has_clock(file))
         if not file.recording and named and score > best_score:
             best, best_score = file, score
     if best is None:
-        worded = [file for file in files if not file.recording and any(one.kind == "text" for one in file.columns)]
-        if len(worded) == 1 and len(files) > 1 and n_files - 1 <= worded[0].n_rows <= MOST_ROWS_A_LOG * (n_files - 1):
+        # logs have a clock
+        others = [file for file in files if not (file.recording or has_clock(file))]
+        worded = [one for one in others if any(column.kind in {"text", "time"} for column in one.columns)]
+        if len(worded) == 1 and (len(files) == 1 or any(map(has_clock, files))):
             return worded[0]
     return best
-
-
-def _has_clock(file: FileContents) -> bool:
-    return any(
-        (column.even and not (column.whole and column.step == 1.0 and guessed_log_column(column.name) != "t_s"))
-        or (column.kind == "time" and column.step < _SHORTEST_RUN_S)
-        for column in file.columns
-    )
 
 
 def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
@@ -187,10 +176,23 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
     recordings = [log for log in logs if log.recording]
     if len(recordings) > 1 and table is None:
         lines += ["", f"{'#[cut]':27}# each recording is a run; where one holds many:", '#by = "stops"']
-    elif recordings and (table is None or len(logs) == 1):
+    elif by_column := [column.name for log in logs[:1] for column in log.columns if _tells_runs(column, logs)]:
+        lines += ["", f"{'[cut]':27}# one log holds many runs", 'by = "column"', f"column = {toml_value(by_column[0])}"]
+    elif (recordings and (table is None or len(logs) == 1)) or _of_a_session(logs):
         lines += ["", f"{'[cut]':27}# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
         lines += ['#by = "times"', '#times = [[0.0, 41.5], [60.0, 101.0]]   # or "length", "column"']
     return lines
+
+
+def _tells_runs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
+    # counts laps or runs, many rows each
+    few = len(logs) == 1 and column.whole and column.step == 1.0 and 0 < column.span < logs[0].n_rows / 20
+    return few and guessed_table_column(column.name) == "run_id"
+
+
+def _of_a_session(logs: Sequence[FileContents]) -> bool:
+    patterns = [pattern for pattern, _ in files_of_a_run(logs).values()]
+    return bool(patterns) and not any("{" in pattern for pattern in patterns)
 
 
 def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> list[str]:
@@ -212,7 +214,7 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
         remark = "" if lines else "   # state what you know; keys omitted are marked as assumed"
         lines += ["", f"[{section}]{remark}"]
         for key in (*(("drive",) if section == "vehicle" else ()), *STATED[section]):
-            [meaning] = re.findall(rf"^#{key} .*# (.*)", _blank_settings(), re.MULTILINE)
+            [meaning] = re.findall(rf"^#{key} .*# (.*)", shipped()["blank"], re.MULTILINE)
             lines += [line or f"#{key} =   # {meaning}" for line in others.get(key, ("",))]
     return lines
 
@@ -230,7 +232,7 @@ def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
     """
     settings, runs, logs = (folder / name for name in ("campaign.toml", "runs.csv", "logs"))
     refuse_existing([settings, runs], force=force)
-    write_text(settings, to_toml({"format": FORMAT, "name": folder.resolve().name}) + _blank_settings(), force=force)
+    write_text(settings, to_toml({"format": FORMAT, "name": folder.resolve().name}) + shipped()["blank"], force=force)
     write_text(runs, RUNS_HEADER + "\n", force=force)
     logs.mkdir(exist_ok=True)
     return settings, runs, logs

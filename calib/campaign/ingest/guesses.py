@@ -2,21 +2,18 @@
 
 import re
 import tomllib
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Final
+from itertools import product
+from typing import Any, Final
 from unicodedata import combining, normalize
 
 import numpy as np
 
-from calib.campaign.ingest.mapping import TABLE_COLUMNS, MappedColumn, units_for
-from calib.campaign.logs import detect_wrap_bits, unwrap
-from calib.campaign.model import LOG_COLUMNS, Border
-from calib.campaign.readers.recording import Recording, Stream
+from calib.campaign.ingest.mapping import TABLE_COLUMNS, units_for
+from calib.campaign.model import LOG_COLUMNS
 from calib.campaign.readers.sheets import COUNT_UNITS, unit_spelled
-from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import bracketed, recognise, spelled
 from calib.types import SUFFIXES, BoolArray, FloatArray, floats, split_suffix, unit_named
 
@@ -24,31 +21,32 @@ from calib.types import SUFFIXES, BoolArray, FloatArray, floats, split_suffix, u
 _BEHIND: Final = re.compile(
     r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total|rpm))+$"
 )
-#: letters of a robot's wheels: fl, rear_right_drive; 'rear' of two wheels is no axle
-_AXLE_FIRST: Final = re.compile(r"(?:^|_)(fl|fr|rl|rr|bl|br)$")
-_AXLES: Final = {"f": "front", "r": "rear", "b": "rear"}
-_SIDES: Final = {
-    "left": re.compile(
-        r"(?:^|_)([rh]?l|li|left|links|linkes|linker|lhs|g|gauche|izq|izquierd[ao]|sx|sinistr[ao]|vae?nster|lew[a-z]*|esquerd[ao]|lh|port)(?=_|$)"
-    ),
-    "right": re.compile(
-        r"(?:^|_)([rh]?r|re|right|rechts|rechtes|rechter|rhs|d|droite?|der|derech[ao]|dx|destr[ao]|hoe?ger|praw[a-z]*|direit[ao]|rh|stbd|starboard)(?=_|$)"
-    ),
-}
-
+#: in names of either side -> its letter
+_LETTERS: Final = (
+    {"SIDE": "left", "INITIAL": "l", "FRENCH": "g", "ITALIAN": "s", "SWEDISH": "v"},
+    {"SIDE": "right", "INITIAL": "r", "FRENCH": "d", "ITALIAN": "d", "SWEDISH": "h"},
+)
 _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ø": "oe", "ł": "l"})
 
 
 @cache
+def shipped() -> dict[str, Any]:
+    """Return the names that columns may have, and the text of empty settings."""
+    return tomllib.loads(resources.files(__package__).joinpath("names.toml").read_text(encoding="utf-8"))
+
+
+@cache
 def _names() -> dict[str, dict[str, str]]:
-    document = tomllib.loads(resources.files(__package__).joinpath("names.toml").read_text(encoding="utf-8"))
+    document = dict(shipped())
     parts = document.pop("parts")
-    columns = {
-        section: {
-            name: re.sub(r"<(\w+)>", lambda part: str(parts[part[1]]), "|".join(forms)) for name, forms in of.items()
-        }
-        for section, of in document.items()
-    }
+    del document["blank"]
+    columns: dict[str, dict[str, str]] = {section: {} for section in document}
+    for section, of in document.items():
+        for (name, forms), signs in product(of.items(), _LETTERS):
+            form = "|".join(forms)
+            for sign, letter in signs.items():
+                name, form = name.replace(sign, letter), form.replace(sign, letter)
+            columns[section][name] = re.sub(r"<(\w+)>", lambda part: str(parts[part[1]]), form)
     return columns | {"parts": parts}
 
 
@@ -78,9 +76,9 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
     `name`: ``Strecke [mm]``, ``Weg in mm`` or ``v_left_m_s``.
     """
     in_words = name.strip()
-    if (said := re.fullmatch(r"(.{2,}?)(?:\s+in\s+|\s*[/,]\s*|\s)([^\s/,]+)", in_words)) and unit_named(
-        said[2]
-    ) is not None:
+    said = re.fullmatch(r"(.{2,}?)(?:\s+in\s+|\s*[/,]\s*|\s)([^\s/,]+)", in_words)
+    # of "Test day" no unit
+    if said and unit_named(said[2]) not in {None, "day"}:
         in_words = f"{said[1]} [{said[2]}]"
     in_words = re.sub(r"_(mm?|km|rad|deg)_([sh])$", r" [\1/\2]", in_words)
     stem, unit = split_suffix(spelled(in_words))
@@ -102,6 +100,11 @@ def count_unit(name: str) -> str | None:
     by_word = {"turns": "turns", "rate": "rpm"} if side_of(name) else {}
     named = (unit for part, unit in by_word.items() if any(re.fullmatch(parts[part], word) for word in stem.split("_")))
     return {"radps": "rad/s", "degps": "deg/s"}.get(own or "") or next(named, None)
+
+
+def excludes(text: str, valid: bool) -> bool:
+    """Return whether a remark, or the answer whether a run is `valid`, leaves it out."""
+    return re.search(_names()["parts"]["bad"] + r"|^(no?|non|nein|nej|nie)$" * valid, plain_text(text)) is not None
 
 
 def guessed_table_column(name: str) -> str | None:
@@ -142,8 +145,6 @@ def _guessed_in_log(name: str) -> str | None:
         return exact
     stem, unit = stem_and_unit(name)
     short = _BEHIND.sub("", stem)
-    if corner := _AXLE_FIRST.search(short):
-        return f"counts_{_AXLES[corner[1][0]]}_{'left' if corner[1][1] == 'l' else 'right'}"
     wheel = _matching(short, None, "log") if short != stem else None
     # only wheels: pose_x_raw is none
     return wheel if wheel and wheel.startswith("counts_") else _wheel_of(name) or _matching(stem, unit, "log")
@@ -195,8 +196,10 @@ def side_of(name: str) -> str | None:
     """Return the side, ``left`` or ``right``, in a name: ``Geber_links``, ``encoderLeft``, ``QL``."""
     for part in (re.split(r"[:/]", name)[-1], re.sub(r"[:/]", "_", name)):
         stem = stem_and_unit(re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", part))[0].replace(".", "_")
-        if side := next((side for side, pattern in _SIDES.items() if pattern.search(stem)), None):
-            return side
+        # m_rl and ml are of mecanum drives and motors, g is gauche
+        for side, further in (("left", "[rh]l|g"), ("right", "[rh]r|d")):
+            if re.search(f"(?:^|_)({_names()['parts'][side]}|{further})(?=_|$)", stem):
+                return side
     return None
 
 
@@ -213,17 +216,15 @@ def usual_step(values: FloatArray) -> float:
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
-#: rise over all steps of a column without a break
 _RISES: Final = 0.98
 #: shares of a turn: an angle's jump back, and the span of one that starts again, with rounding
-_JUMP, _ONE_TURN = 0.75, 1.001
+_JUMP, ONE_TURN = 0.75, 1.001
 #: a clock's steps are off the usual one by no more, for this share of them
 _EVEN, _MOSTLY = 0.05, 0.9
-#: correlation of a counter's steps with the next: a smooth drive nearly 1, a speed's noise -0.5
 _ALIKE: Final = 0.2
-#: a plain counter, or an angle without end
+#: of its span, by which increments of a drive leave those at rest; of their steps, those back
+_AWAY: Final = 0.25
 RISES: Final = "rises without a break"
-#: turn -> what the angle does
 _TURNS: Final = {2 * np.pi: "an angle that starts again after 2 pi", 360.0: "an angle that starts again after 360"}
 #: what a wheel's numbers do -> their unit
 BEHAVIOURS: Final = {
@@ -244,34 +245,27 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
     for turn, words in _TURNS.items():
         jumps = np.abs(steps) > _JUMP * turn
         steady = np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
-        if _JUMP * turn < span <= _ONE_TURN * turn and jumps.any() and steady:
+        if _JUMP * turn < span <= ONE_TURN * turn and jumps.any() and steady:
             return words
     # what moves goes on: a counter's steps are alike from one to the next, but where it starts again; increments' are
-    # not
+    # not, or they go up and down about a level
+    away = np.abs(values[1:] - values[0]) > _AWAY * span
+    turns = steps[away & (steps != 0)]
+    level = abs(values[-1] - values[0]) < 0.1 * _AWAY * span and away.mean() > 0.5
+    level = level and len(turns) > 1 and float(np.mean(turns[1:] * turns[:-1] < 0)) > _AWAY
     steps = steps[np.abs(steps) < _JUMP * span]
     alike = float(np.sum(steps[1:] * steps[:-1])) / max(float(np.sum(steps * steps)), 1.0)
-    return "increments, a count a sample" if whole and alike < _ALIKE else ""
+    return "increments, a count a sample" if whole and (level or alike < _ALIKE) else ""
 
 
-#: for a lag's interval
 _JACKKNIFE_BLOCKS: Final = 12
-#: a long recording takes wider steps
 _MAX_GRID_POINTS: Final = 40_000
 #: the grid's step over the wheels' (the golden section): in step with neither stream
 _GRID_RATIO: Final = 0.6180339887498949
-#: half the window of a speed, the difference of rounded readings
 _SPEED_WINDOW_S: Final = 0.2
-#: of two speeds
 _LEAST_CORRELATION: Final = 0.5
-#: relative, to show a lag
 _LEAST_SPEED_CHANGE: Final = 0.02
-#: of the other stream; lags looked at
-_LEAST_LAG_SAMPLES, _LARGEST_LAG_S = 20, 2.0
-#: at this spacing noise hardly lengthens a travelled distance
-_POSE_SPACING_S: Final = 0.1
-
-#: calib's column -> its source
-Lines = Mapping[str, MappedColumn]
+_LARGEST_LAG_S: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,63 +276,6 @@ class Lag:
     lag_s: float
     #: each twelfth of the recording omitted in turn
     ci95_s: tuple[float, float]
-
-
-def continuous_counts(counts: FloatArray, bits: int | None, time_s: FloatArray | None) -> tuple[FloatArray, int | None]:
-    """Return counts without overflows, and the counter's width, if seen."""
-    offsets = np.asarray([0, len(counts)])
-    width = bits or detect_wrap_bits(counts, offsets, time_s)
-    return (counts, None) if width is None else (unwrap(counts, offsets, width)[0], width)
-
-
-def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
-    """Return an angle that restarts after each `turn` as a continuous one; NaN stays."""
-    known = np.isfinite(angle)
-    if not known.any() or np.ptp(angle[known]) > _ONE_TURN * turn:
-        return angle
-    out = angle.copy()
-    out[known] = np.unwrap(angle[known], period=turn)
-    return out
-
-
-def estimate_lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:
-    """Estimate and note lags of ``reference`` and ``range_m`` behind the wheels, where found.
-
-    `lines`: calib's column -> the recording's; `base`: the stream of the wheels; for a lag see `estimate_lag`.
-    """
-    counts = [line for name, line in lines.items() if name.startswith("counts_") and line.column in base.columns]
-    wheels = [
-        base.columns[line.column] for line in counts if COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle", "length"}
-    ]
-    if not wheels or base.time_ns is None:
-        return {}
-    origin = int(base.time_ns[0])
-    time = (base.time_ns - origin) / NS_PER_S
-    turned = np.mean([continuous_counts(counts, None, time)[0] for counts in wheels], axis=0)
-    travelled = np.cumsum(np.abs(np.diff(turned, prepend=turned[:1])))
-    lags: dict[str, Lag] = {}
-    for name, columns in (("reference", ("ref_x_m", "ref_y_m")), ("range_m", ("range_m",))):
-        sources = [lines[column].column for column in columns if column in lines]
-        stream = recording.stream_of(sources[0]) if len(sources) == len(columns) else None
-        if stream is None or stream.name == base.name or not set(sources) <= set(stream.columns):
-            continue
-        if stream.time_ns is None or len(stream) < _LEAST_LAG_SAMPLES:
-            continue
-        other = _travelled(stream, np.column_stack([stream.columns[source] for source in sources]))
-        if lag := estimate_lag(time, travelled, (stream.time_ns - origin) / NS_PER_S, other):
-            lags[name] = lag
-            low, high = lag.ci95_s
-            text = f"""the {name} lags {1e3 * lag.lag_s:+.1f} ms behind the wheels (95 %: {1e3 * low:+.1f} ..
-                {1e3 * high:+.1f}, by their speeds)"""
-            border.say(f"{shown}, {stream.name}", text, "lag")
-    return lags
-
-
-def _travelled(stream: Stream, positions: FloatArray) -> FloatArray:
-    stride = max(1, round(_POSE_SPACING_S * stream.contents().rate_Hz))
-    index = np.flatnonzero(np.isfinite(positions).all(axis=1))[::stride]
-    steps = np.linalg.norm(np.diff(positions[index], axis=0), axis=1)
-    return floats(np.interp(np.arange(len(positions)), index, np.concatenate(([0.0], np.cumsum(steps)))))
 
 
 def estimate_lag(

@@ -8,44 +8,52 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.ingest.guesses import Lag, Lines, continuous_angle, continuous_counts, estimate_lags
+from calib.campaign.ingest.guesses import (
+    ONE_TURN,
+    Lag,
+    estimate_lag,
+    guessed_log_column,
+    stem_and_unit,
+)
 from calib.campaign.ingest.mapping import MappedColumn, Mapping, counts_per_unit
-from calib.campaign.ingest.runs import resolved, whole_name, without_unit
+from calib.campaign.ingest.runs import resolved, sheet_of, whole_name, without_unit
 from calib.campaign.logs import (
     add_recognised,
+    detect_wrap_bits,
     from_first_sample,
     in_log,
     log_column,
     omit_lost_frames,
     refuse_incomplete,
+    unwrap,
 )
 from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, Border, Campaign, Note
-from calib.campaign.readers import RawTable, holds_recording, joined_table, read_recording, read_table
+from calib.campaign.readers import RawTable, Wanted, holds_recording, joined_table, read_recording, read_table
 from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import Recognised, converted, recognise
 from calib.errors import BadFileError
-from calib.types import FloatArray, floats
+from calib.types import SUFFIXES, FloatArray, floats, grouped
 
-#: name of the column that tells the runs
 CUT_COLUMN: Final = "cut"
+_LEAST_LAG_SAMPLES: Final = 20
+#: at this spacing noise hardly lengthens a travelled distance
+_POSE_SPACING_S: Final = 0.1
+Lines = MappingType[str, MappedColumn]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedLog:
     """A log, recording or part of one under calib's names."""
 
-    #: for messages
     shown: str
     #: of `LOG_COLUMNS`, SI units, ``t_s`` from the first sample; ``cut`` where a column tells the runs, shape
     #: (n_samples,)
     columns: dict[str, FloatArray]
     #: time of the first sample: nanoseconds since 1970, or since midnight or the start of the clock
     start_ns: int
-    #: stream -> its lag behind the wheels
     lags: MappingType[str, Lag] = field(default_factory=dict)
-    #: where overflows were undone
     wrap_bits: int | None = None
     #: range and poses count from the run's start
     from_start: bool = False
@@ -54,8 +62,8 @@ class MappedLog:
 def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campaign, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
-    `files`: one file, or a rosbag2 folder, under an empty name; or those of a run by the names of ``log.files``. Raises
-    BadFileError where a column that the mapping names is missing, or the file has no clock or no wheels.
+    `files`: one under an empty name, or those of a run by the names of ``log.files``. Raises BadFileError where a
+    column that the mapping names is missing, or the file has no clock or no wheels.
     """
     path = next(iter(files.values()))
     shown = str(path)
@@ -64,8 +72,11 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campa
         lines[CUT_COLUMN] = MappedColumn(column=mapping.cut.column)
     lags: dict[str, Lag] = {}
     bits = settings.encoder.wrap_bits
-    if "" not in files or holds_recording(path):
-        if "" in files:
+    raw, one_table = RawTable({}, np.zeros(0, dtype=np.int64)), "" in files and not holds_recording(path)
+    if one_table:
+        raw, lines = _table(path, shown, lines, mapping, border)
+    if not one_table or _empty_cells(raw.columns, lines):
+        if "" in files and not one_table:
             recording = _recording(path, shown, lines, mapping)
         else:
             recording = _gathered(files, lines, mapping)
@@ -75,21 +86,10 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campa
         recording, bits = _unwrapped(recording, lines, base, bits, shown, border)
         if base.time_ns is not None:
             _note_clocks(recording, base, shown, border)
-            lags = estimate_lags(recording, lines, base, shown, border)
+            lags = _lags(recording, lines, base, shown, border)
         raw = _joined(recording, base, lines, lags if mapping.log.lag == "remove" else {}, shown)
         raw = _of_all_wheels(raw, lines, shown, border)
-        border.notes.extend(recording.notes)
-    else:
-        sources = {name for line in lines.values() for name in line.sources}
-
-        def wanted(name: str) -> bool:
-            return name in sources or without_unit(name) in sources or in_log(name)
-
-        raw = read_table(path, shown, wanted, mapping.log.layout)
-        lines = resolved(lines, raw.columns)
-        raw = replace(raw, columns=_with_heading(raw.columns, lines, shown, border))
-        _refuse_missing(raw.columns, lines, shown, mapping, row=1)
-        border.notes.extend(raw.notes)
+    border.notes.extend(raw.notes)
     columns, epoch = _renamed(raw, lines, shown, border)
     if "t_s" in columns:
         _to_counts(columns, lines, settings, shown, border)
@@ -98,6 +98,25 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campa
     columns = _without_repeats(columns, shown, border)
     start = from_first_sample(columns, shown, border)
     return MappedLog(shown, columns, round(start * NS_PER_S) if epoch is None else epoch, lags, bits)
+
+
+def _table(
+    path: Path, shown: str, lines: Lines, mapping: Mapping, border: Border
+) -> tuple[RawTable, dict[str, MappedColumn]]:
+    sources = {name for line in lines.values() for name in line.sources}
+
+    def wanted(name: str) -> bool:
+        return name in sources or without_unit(name) in sources or in_log(name)
+
+    raw = _read(path, wanted, mapping)
+    lines = resolved(lines, raw.columns)
+    _refuse_missing(raw.columns, lines, shown, mapping, row=1)
+    return replace(raw, columns=_with_heading(raw.columns, lines, shown, border)), lines
+
+
+def _read(path: Path, wanted: Wanted, mapping: Mapping) -> RawTable:
+    book, sheet = sheet_of(path)
+    return read_table(book, str(path), wanted, replace(mapping.log.layout, sheet=sheet or mapping.log.sheet))
 
 
 def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Recording:
@@ -116,12 +135,13 @@ def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> 
     notes: list[Note] = []
     for tag, path in files.items():
         clock = mapping.log.clock_of(tag)
-        sources = {name.removeprefix(f"{tag}:") for line in lines.values() for name in line.sources} | {clock.column}
+        before = f"{tag}:" if tag else ""
+        sources = {name.removeprefix(before) for line in lines.values() for name in line.sources} | {clock.column}
 
         def wanted(name: str, sources: set[str] = sources) -> bool:
             return name in sources or without_unit(name) in sources or log_column(name).name == "t_s"
 
-        raw = read_table(path, str(path), wanted, mapping.log.layout)
+        raw = _read(path, wanted, mapping)
         own = next((name for name in raw.columns if log_column(name).name == "t_s"), clock.column)
         time = whole_name(clock.column, raw.columns)
         time = time if time in raw.columns else whole_name(own, raw.columns)
@@ -132,11 +152,20 @@ def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> 
         line = clock.model_copy(update={"column": time})
         match = recognise(line.target("t_s"), LOG_COLUMNS, further=False)
         factor = 1.0 if time in raw.epochs else match.factor * line.scale("t_s")
+        raw = raw.select(np.isfinite(raw.columns[time]))
         time_ns = raw.epochs.get(time, 0) + np.rint(raw.columns[time] * factor * NS_PER_S).astype(np.int64)
         order = np.argsort(time_ns, kind="stable")
-        columns = {f"{tag}:{name}": cells[order] for name, cells in raw.columns.items() if name != time}
-        streams.append(Stream(tag, "file", columns, time_ns[order], "times of the file"))
+        columns = {before + name: cells[order] for name, cells in raw.columns.items() if name != time}
         notes += raw.notes
+        if not (n_empty := _empty_cells(columns, lines)):
+            streams.append(Stream(tag, "file", columns, time_ns[order], "times of the file"))
+            continue
+        text = f"{n_empty} cells of wheels are empty: each column has times of its own"
+        notes.append(Note("info", str(path), text, "empty_cells"))
+        for names in grouped((np.isfinite(cells).tobytes(), name) for name, cells in columns.items()).values():
+            rows = np.isfinite(columns[names[0]])
+            own_columns = {name: columns[name][rows] for name in names}
+            streams.append(Stream(names[0], "file", own_columns, time_ns[order][rows], "times of the file"))
     return Recording(tuple(streams), tuple(notes))
 
 
@@ -149,6 +178,11 @@ def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Map
             if not known:
                 remedy = f"if it is no log, name the logs alone ({Path(shown).parent}/run*.csv); else {remedy}"
             raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
+
+
+def _empty_cells(columns: MappingType[str, FloatArray], lines: Lines) -> int:
+    of_wheels = (one for name, one in lines.items() if name.startswith(("counts_", "speed_")) and one.column in columns)
+    return sum(int(np.isnan(columns[one.column]).sum()) for one in of_wheels if one.wheel_unit != "counts/sample")
 
 
 def _of_all_wheels(raw: RawTable, lines: Lines, shown: str, border: Border) -> RawTable:
@@ -172,11 +206,17 @@ def _wheel_stream(recording: Recording, lines: Lines, shown: str) -> Stream:
 def _unwrapped(
     recording: Recording, lines: Lines, base: Stream, bits: int | None, shown: str, border: Border
 ) -> tuple[Recording, int | None]:
-    counters = {one.column for name, one in lines.items() if name.startswith("counts_") and one.wheel_unit == "counts"}
+    kinds = {one.column: COUNT_UNITS[one.wheel_unit] for name, one in lines.items() if name.startswith("counts_")}
     streams = []
     for stream in recording.streams:
         columns = _with_heading(stream.columns, lines, shown, border)
-        for name in counters & set(columns) if stream is not base else ():
+        # what is interpolated goes on
+        for name in set(kinds) & set(columns) if stream is not base else ():
+            kind, turns, _ = kinds[name]
+            if kind == "angle":
+                columns[name] = continuous_angle(columns[name], 1.0 / turns)
+            if kind != "counts":
+                continue
             time_s = None if stream.time_ns is None else (stream.time_ns - stream.time_ns[0]) / NS_PER_S
             columns[name], width = continuous_counts(columns[name], bits, time_s)
             bits = width or bits
@@ -236,6 +276,7 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, settings: Campaign,
     for name in [name for name in columns if name.startswith("counts_") and name in lines]:
         unit, values = lines[name].wheel_unit, columns[name]
         (kind, turns, _), counts = COUNT_UNITS[unit], counts_per_unit(name, unit, settings)
+        _refuse_other_units(name, lines[name], shown)
         if kind == "increments":
             columns[name] = np.cumsum(values)
         elif kind == "angle":
@@ -248,12 +289,73 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, settings: Campaign,
             columns[name] = np.concatenate(([0.0], np.cumsum(steps))) * counts
 
 
+def _refuse_other_units(name: str, line: MappedColumn, shown: str) -> None:
+    column, unit = line.column, stem_and_unit(line.column)[1]
+    speed = SUFFIXES[unit][0] in {"mps", "radps"} if unit else (guessed_log_column(column) or "").startswith("speed_")
+    if speed and line.wheel_unit == "counts" and line.unit is None and line.factor == 1.0:
+        remedy = f'map a speed to {name.replace("counts", "speed")}_mps, or state the unit: "rad/s" or "counts"'
+        raise BadFileError(shown, f"a speed or rate by its name, mapped to {name}", "counts", remedy, column=column)
+
+
 def _without_repeats(columns: dict[str, FloatArray], shown: str, border: Border) -> dict[str, FloatArray]:
     if not (again := np.append(np.diff(columns["t_s"]) == 0, False)).any():
         return columns
     text = f"{int(again.sum())} sample(s) whose time stamp comes again were omitted; the last of each was kept"
     border.say(shown, text, "repeated_stamp")
     return {name: values[~again] for name, values in columns.items()}
+
+
+def _lags(recording: Recording, lines: Lines, base: Stream, shown: str, border: Border) -> dict[str, Lag]:
+    counts = [line for name, line in lines.items() if name.startswith("counts_") and line.column in base.columns]
+    wheels = [
+        base.columns[line.column] for line in counts if COUNT_UNITS[line.wheel_unit][0] in {"counts", "angle", "length"}
+    ]
+    if not wheels or base.time_ns is None:
+        return {}
+    origin = int(base.time_ns[0])
+    time = (base.time_ns - origin) / NS_PER_S
+    turned = np.mean([continuous_counts(counts, None, time)[0] for counts in wheels], axis=0)
+    travelled = np.cumsum(np.abs(np.diff(turned, prepend=turned[:1])))
+    lags: dict[str, Lag] = {}
+    for name, columns in (("reference", ("ref_x_m", "ref_y_m")), ("range_m", ("range_m",))):
+        sources = [lines[column].column for column in columns if column in lines]
+        stream = recording.stream_of(sources[0]) if len(sources) == len(columns) else None
+        if stream is None or stream.name == base.name or not set(sources) <= set(stream.columns):
+            continue
+        if stream.time_ns is None or len(stream) < _LEAST_LAG_SAMPLES:
+            continue
+        other = _travelled(stream, np.column_stack([stream.columns[source] for source in sources]))
+        if lag := estimate_lag(time, travelled, (stream.time_ns - origin) / NS_PER_S, other):
+            lags[name] = lag
+            low, high = lag.ci95_s
+            text = f"""the {name} lags {1e3 * lag.lag_s:+.1f} ms behind the wheels (95 %: {1e3 * low:+.1f} ..
+                {1e3 * high:+.1f}, by their speeds)"""
+            border.say(f"{shown}, {stream.name}", text, "lag")
+    return lags
+
+
+def _travelled(stream: Stream, positions: FloatArray) -> FloatArray:
+    stride = max(1, round(_POSE_SPACING_S * stream.contents().rate_Hz))
+    index = np.flatnonzero(np.isfinite(positions).all(axis=1))[::stride]
+    steps = np.linalg.norm(np.diff(positions[index], axis=0), axis=1)
+    return floats(np.interp(np.arange(len(positions)), index, np.concatenate(([0.0], np.cumsum(steps)))))
+
+
+def continuous_counts(counts: FloatArray, bits: int | None, time_s: FloatArray | None) -> tuple[FloatArray, int | None]:
+    """Return counts without overflows, and the counter's width, if seen."""
+    offsets = np.asarray([0, len(counts)])
+    width = bits or detect_wrap_bits(counts, offsets, time_s)
+    return (counts, None) if width is None else (unwrap(counts, offsets, width)[0], width)
+
+
+def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
+    """Return an angle that restarts after each `turn` as a continuous one; NaN stays."""
+    known = np.isfinite(angle)
+    if not known.any() or np.ptp(angle[known]) > ONE_TURN * turn:
+        return angle
+    out = angle.copy()
+    out[known] = np.unwrap(angle[known], period=turn)
+    return out
 
 
 def _note_clocks(recording: Recording, base: Stream, shown: str, border: Border) -> None:

@@ -1,8 +1,6 @@
 """The mapping: a TOML file that says which column of a laboratory's export is which, and how logs are named.
 
-docs/ingest.md has an example of each line. ``[table]`` and ``[log]`` name a source column for a column of calib's,
-``[cut]`` says how a recording is cut into runs, all else is of ``campaign.toml``. Columns that already carry the names
-of calib, with any known unit, need no line.
+docs/ingest.md has an example of each line.
 """
 
 import math
@@ -30,15 +28,15 @@ _COLUMN: Final = 'a column name, or {column = "...", unit = "...", factor = 1}'
 _READINGS: Final = '{column = "...", minus = "..."}, two columns of the run table, without sheet and values'
 _TIMES: Final = "pairs of start and end, as [[0, 41.5], [60, 101]]"
 _LOG_FILE: Final = (
-    "a name that holds {run_id} or {n}, beside them {date}, {time} or * for any text, "
-    'as "run_{run_id}.csv", "Run_{n:02}.csv" or "{date}_{time}_TR{n}.csv"'
+    "a name that holds {run_id}, {n}, {n-1} or its row's {date} and {time}, beside them * for any text, "
+    'as "Run_{n:02}.csv" or "{date}_{time}_TR{n}.csv"'
 )
 _LOG_FILES: Final = (
-    'names and patterns that hold {run_id} or {n}, as {left = "run{n:02}_left.csv", right = "run{n:02}_right.csv"}; '
-    'columns are then called counts_left = "left:ticks"'
+    'names and patterns that hold {run_id} or {n}, as {left = "run{n}_left.csv", right = "run{n}_right.csv"}'
 )
-_OF_A_RUN: Final = r"\{(run_id|n(:0?\d+)?)\}"
+OF_A_RUN: Final = r"\{(run_id|n(-1)?(:0?\d+)?)\}"
 _NOT_NEGATIVE: Final = "a number, not below 0"
+_FRAME_RATE: Final = re.compile(r"(\d+(?:\.\d+)?)\s*(hz|fps)", re.IGNORECASE)
 
 
 def units_for(name: str) -> tuple[str, ...]:
@@ -48,6 +46,11 @@ def units_for(name: str) -> tuple[str, ...]:
     suffix = split_suffix(name)[1]
     masses = name.startswith("load_") and suffix == "N"
     return tuple(unit for unit, (to, _, _) in SUFFIXES.items() if to == suffix or (masses and to == "kg"))
+
+
+def _frames_per_s(unit: str | None) -> float:
+    rate = _FRAME_RATE.fullmatch(unit or "")
+    return float(rate[1]) if rate else 0.0
 
 
 class _Model(BaseModel):
@@ -63,31 +66,25 @@ class _UnfitError(ValueError):
 class MappedColumn(_Model):
     """A line of a mapping: the source of a column of calib's."""
 
-    #: empty where `value` is given
     column: str = Field(default="", description=_COLUMN)
-    #: a constant for every run, or one value a run
     value: bool | str | int | float | Annotated[list[bool | str | int | float], Field(min_length=1)] | None = Field(
         default=None, description="a text or a number, or a list of one a run"
     )
-    #: column subtracted: the reading at a run's start
     minus: str = Field(default="", description="the name of a column of numbers")
     #: column w of a quaternion about the vertical, `column` its z
     w: str = Field(default="", description="the name of a column of numbers")
     unit: str | None = Field(default=None, description="the name of a unit")
-    #: to look the value up on, by the text in the run table's column `by`
     sheet: str = Field(default="", description="the name of a sheet")
     by: str = Field(default="", description="the run table's column whose text is looked up")
     #: the sheet's column of these; empty: that of the same name, else the first
     key: str = Field(default="", description="the sheet's column that holds the texts looked up")
     fill_down: bool = Field(default=False, description="true or false")
     factor: float = Field(default=1.0, gt=-1e12, lt=1e12, description="a factor that is a number other than 0")
-    #: texts of the source -> calib's
     values: dict[str, bool | str | int | float] = Field(
         default_factory=dict, description='texts and their meanings, as {hin = "out", zurueck = "back"}'
     )
     #: a distance to a target, to become the distance from the run's start; None: as usual for the source
     from_start: bool | None = Field(default=None, description="true or false")
-    #: behind the wheels, taken off
     lag_s: float = Field(default=0.0, gt=-1e12, lt=1e12, description="a number of seconds")
 
     @model_validator(mode="after")
@@ -119,7 +116,7 @@ class MappedColumn(_Model):
         # as `cam.x_mm`; beside it a factor is the conversion
         ending = split_suffix(self.column)[1] if abs(self.factor) == 1.0 else ""
         unit = unit_spelled(bracketed(self.column)[1] or ending or "")
-        return unit if unit in units_for(name) else None
+        return unit if unit in units_for(name) or (name == "t_s" and _frames_per_s(unit)) else None
 
     @property
     def wheel_unit(self) -> str:
@@ -129,13 +126,15 @@ class MappedColumn(_Model):
     def target(self, name: str) -> str:
         """Return calib's column `name` in the source's unit (``t_ms``)."""
         unit = self.unit_for(name)
-        if unit is None or name.startswith("counts_") or self._weighed(name):
+        if unit not in SUFFIXES or name.startswith("counts_") or self._weighed(name):
             return name
         return f"{split_suffix(name)[0]}_{unit}"
 
     def scale(self, name: str) -> float:
         """Return the factor beside the unit; a wheel's load in kg is its weight in N."""
         unit = self.unit_for(name)
+        if rate := _frames_per_s(unit):
+            return self.factor / rate
         return self.factor * (GRAVITY_MPS2 * SUFFIXES[unit][1] if unit and self._weighed(name) else 1.0)
 
     def _weighed(self, name: str) -> bool:
@@ -162,7 +161,6 @@ class _Section(_Model):
     skip_rows: list[Annotated[int, Field(ge=1)]] = Field(
         default_factory=list, description="numbers of rows, counted from 1, as [1, 2, 40]"
     )
-    #: calib's column -> its source
     columns: dict[str, MappedColumn] = Field(default_factory=dict)
 
     @model_validator(mode="before")
@@ -178,15 +176,21 @@ class _Section(_Model):
         for name, line in self.columns.items():
             if line.w and (name != "ref_theta_rad" or isinstance(self, TableSection) or line.unit or not line.column):
                 raise _UnfitError(name, line.w, "w of a quaternion for ref_theta_rad in [log] alone, without a unit")
-            if line.unit not in (None, *(units := units_for(name))):
-                expected = f"one of {', '.join(units)}" if units else f"no unit, since {name} has none"
-                raise _UnfitError(name, line.unit, expected)
+            _check_unit(name, line, name)
         return self
 
     @property
     def layout(self) -> Layout:
         """Sheet and rows, for the readers."""
         return Layout(self.sheet, self.header_row, self.units_row, tuple(self.skip_rows), lab=True)
+
+
+def _check_unit(name: str, line: MappedColumn, key: str) -> None:
+    units = units_for(name)
+    if line.unit not in {None, *units} and not (name == "t_s" and _frames_per_s(line.unit)):
+        expected = f"one of {', '.join(units)}" if units else f"no unit, since {name} has none"
+        expected += ', or the rate of frames counted, as "50 Hz"' * (name == "t_s")
+        raise _UnfitError(key, line.unit, expected)
 
 
 class TableSection(_Section):
@@ -206,21 +210,26 @@ class TableSection(_Section):
 class LogSection(_Section):
     """``[log]``: the columns of logs and recordings, and how a run's log is found."""
 
-    #: name of a run's log, with ``{run_id}`` or ``{n}``
-    file: str | None = Field(default=None, pattern=_OF_A_RUN, description=_LOG_FILE)
-    #: of a log in several files: name -> pattern; columns are called ``name:column``
-    files: dict[Annotated[str, Field(pattern=r"^\w+$")], Annotated[str, Field(pattern=_OF_A_RUN)]] = Field(
-        default_factory=dict, description=_LOG_FILES
-    )
+    file: str | None = Field(default=None, pattern=OF_A_RUN + r"|\{time\}", description=_LOG_FILE)
+    files: dict[Annotated[str, Field(pattern=r"^\w+$")], str] = Field(default_factory=dict, description=_LOG_FILES)
     #: of these, the times where they are called otherwise than `t_s`: name -> their column
     clocks: dict[str, str | MappedColumn] = Field(
         default_factory=dict, description='names of files and their times, as {camera = "Stamp [ms]"}'
     )
-    #: how a run's name holds ``{n}``
     run: str | None = Field(default=None, pattern=r"\{n\}", description='how a run is called, as "Run {n}"')
     lag: Literal["report", "remove"] = Field(default="report", description='"report" or "remove"')
-    #: runs with encoders exchanged
     swapped: list[str] = Field(default_factory=list, description='names of runs, as ["Run 12"]')
+
+    @model_validator(mode="after")
+    def _clocks_fit(self) -> "LogSection":
+        for tag in self.clocks:
+            _check_unit("t_s", self.clock_of(tag), f"clocks.{tag}")
+        return self
+
+    @property
+    def run_sheet(self) -> str | None:
+        """Name of the sheet that is a run's log, as ``Run {n}``."""
+        return self.sheet if self.sheet and re.search(OF_A_RUN, self.sheet) else None
 
     def clock_of(self, tag: str) -> MappedColumn:
         """Return the column of the times in a file of `files`, or in each."""
@@ -245,23 +254,16 @@ class Segmentation(_Model):
     by: Literal["stops", "length", "column", "times"] = Field(
         default="stops", description="one of stops, length, column, times"
     )
-    #: by stops: a standstill that ends a run
     min_stop_s: float = Field(default=1.0, ge=0, description=_NOT_NEGATIVE)
-    #: shorter drives are no runs
     min_length_m: float = Field(default=0.5, ge=0, description=_NOT_NEGATIVE)
-    #: by length, one of the two
     length_m: float = Field(default=0.0, ge=0, description=_NOT_NEGATIVE)
     length_s: float = Field(default=0.0, ge=0, description=_NOT_NEGATIVE)
-    #: by column: tells the runs; empty or 0 between them
     column: str = Field(default="", description="a text")
-    #: by times: start and end, in seconds from the recording's start or by the clock
     times: list[Annotated[list[Any], Field(min_length=2, max_length=2)]] = Field(
         default_factory=list, description=_TIMES
     )
-    #: by times: their columns in the run table
     start: str = Field(default="", description="a text")
     end: str = Field(default="", description="a text")
-    #: where no table names it
     run_id: str = Field(default="r{n:03}", description="a text")
 
     @model_validator(mode="after")
@@ -279,7 +281,6 @@ class Segmentation(_Model):
 class Mapping:
     """A mapping as read."""
 
-    #: for messages
     shown: str
     table: TableSection
     log: LogSection
@@ -287,7 +288,6 @@ class Mapping:
     cut: Segmentation | None
     #: all else: of ``campaign.toml``
     settings: dict[str, object]
-    #: beside the mapping, where it names one
     table_file: Path | None = None
 
 
@@ -305,6 +305,10 @@ def read_mapping(path: Path | None) -> Mapping:
         if line and line.column and line == log.columns.get(other):
             raise bad_line(shown, "log", other, line.column, f"another column than that of {name}, a wheel each")
     cut = parse_section(Segmentation, document.pop("cut"), shown, "cut") if "cut" in document else None
+    for tag, pattern in log.files.items() if cut is None else ():
+        if not re.search(OF_A_RUN, pattern):
+            expected = f"{_LOG_FILES}; or [cut], for many runs"
+            raise bad_line(shown, "log", f"files.{tag}", pattern, expected)
     table_file = inside(path.parent, table.file, named_in=shown, column="table.file") if path and table.file else None
     return Mapping(shown, table, log, cut, document, table_file)
 
@@ -344,54 +348,3 @@ def parse_section(model: type[_Parsed], section: object, shown: str, where: str)
 def bad_line(shown: str, where: str, name: str, found: Any, expected: str) -> BadFileError:
     """Return the error for one line of a mapping; see `BadFileError`."""
     return BadFileError(shown, repr(found)[:80], expected, "correct the mapping", column=f"{where}.{name}")
-
-
-def run_number(run_id: str, pattern: str | None) -> int | None:
-    """Return the number in a run's name by a pattern (``Run {n}``), or the last number in it."""
-    if pattern is None:
-        numbers = re.findall(r"\d+", run_id)
-        return int(numbers[-1]) if numbers else None
-    before, _, after = pattern.partition("{n}")
-    match = re.fullmatch(re.escape(before) + r"\s*0*(\d+)\s*" + re.escape(after), run_id.strip(), re.IGNORECASE)
-    return int(match[1]) if match else None
-
-
-#: what a name may hold beside the run -> what it looks like
-_PARTS: Final = {
-    "{date}": r"\d{2,4}[-_.]?\d{2}[-_.]?\d{2,4}",
-    "{time}": r"\d{2}[-_.:h]?\d{2}([-_.:m]?\d{2})?s?([.,_]\d+)?",
-    "*": r".*",
-}
-
-
-def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
-    """Return the name of a run's log by the pattern; None without a pattern, or a number in the run's name.
-
-    `pattern`: of ``log.files``; else ``log.file``. ``{date}``, ``{time}`` and ``*`` stay: `fits_name` compares.
-    """
-    pattern = pattern or log.file
-    name = None if pattern is None else pattern.replace("{run_id}", run_id)
-    if name is None or "{n" not in name:
-        return name
-    number = run_number(run_id, log.run)
-    return None if number is None else with_number(name, number)
-
-
-def with_number(pattern: str, number: int) -> str:
-    """Return a pattern with a number for its ``{n}`` or ``{n:03}``."""
-    return re.sub(r"\{n(?::0?(\d+))?\}", lambda match: str(number).zfill(int(match[1] or 0)), pattern)
-
-
-def fits_name(name: str, wanted: str) -> bool:
-    """Return whether a file's name is the wanted one of `expected_name`, in any letter case."""
-    parts = re.split(r"(\{date\}|\{time\}|\*)", wanted.replace("\\", "/").rpartition("/")[2])
-    return re.fullmatch("".join(_PARTS.get(part, re.escape(part)) for part in parts), name, re.IGNORECASE) is not None
-
-
-def run_in(name: str, pattern: str) -> str | None:
-    """Return what a file's name has for ``{n}`` or ``{run_id}``; None where it does not fit."""
-    parts = re.split(r"(\{date\}|\{time\}|\*|\{run_id\}|\{n(?::0?\d+)?\})", pattern)
-    signs = {**_PARTS, "{run_id}": r"(?P<run>.+)"}
-    form = "".join(signs.get(part, r"0*(?P<run>\d+)" if part[:2] == "{n" else re.escape(part)) for part in parts)
-    match = re.fullmatch(form, name, re.IGNORECASE)
-    return match["run"] if match else None

@@ -4,7 +4,6 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest.contents import ColumnContents, FileContents
@@ -38,9 +37,7 @@ _POSES: Final = (
     "tf/msg/tfMessage",
 )
 _ODOMETRY: Final = "nav_msgs/msg/Odometry"
-#: kinds that do not say what they measure
 _UNTYPED: Final = ("channels", "variables")
-#: in a joint's rate's name
 _RATE: Final = ":velocity."
 #: numbers above it count from 1970 -> unit
 _EPOCHS: Final = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
@@ -57,7 +54,6 @@ _CORNERS: Final = {
 }
 #: of its span, by which two coupled wheels of a side differ at most: they slip, but do not steer
 _COUPLED: Final = 0.02
-#: of the spans of the others: of a vertical axis
 _LEVEL: Final = 0.1
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
 _TWIST: Final = ("v_mps", "omega_radps")
@@ -66,7 +62,7 @@ _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.I
 #: stem of a pose that no tracker is named in: the vehicle's own, perhaps
 _NO_TRACKER: Final = re.compile(r"((robot|base)_)?(pose?|pos(ition)?)?_?(x|y|theta|yaw|heading)")
 _BESIDE: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
-#: remark on its coupled wheels
+_COMPASS: Final = "   # clockwise, of a compass? x = north; factor = -1 here and for y = east"
 SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
 
 
@@ -86,8 +82,8 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
     for tag, part in parts.items():
         alike = [log for log in logs if re.sub(r"\d+", "#", log.name) == re.sub(r"\d+", "#", part.name)]
         of_part = _with_bits(part, alike)
-        clocks = [c for c in of_part if guessed_log_column(c.name) == "t_s"] + [c for c in of_part if c.even]
-        time = next(iter(clocks), None)
+        clocks = [c for c in of_part if guessed_log_column(c.name) == "t_s"]
+        time = next(iter([*clocks, *(c for c in of_part if c.even or c.kind == "time")]), None)
         times |= {tag: time} if time is not None else {}
         own = [replace(c, name=f"{tag}:{c.name}") for c in of_part if c is not time and c.kind == "number"]
         streams.append(StreamContents(tag, _UNTYPED[0], part.n_rows, "", tuple(c.name for c in own)))
@@ -101,9 +97,8 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
         found["t_s"] = next(iter(times.values()))
         one_clock = len({*own_times.values()}) == 1
         each = ", ".join(f"{tag} = {line}" for tag, line in own_times.items())
-        lines.insert(
-            0, _line("t_s", found["t_s"], log) if one_clock else f"clocks = {{{each}}}   # the times of each file"
-        )
+        several = f"clocks = {{{each}}}   # the times of each file" + "; state ? Hz" * ("?" in each)
+        lines.insert(0, _line("t_s", found["t_s"], log) if one_clock else several)
     return [*lines, *_missing(lines, found, logs)]
 
 
@@ -121,6 +116,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     streams = {name: stream for stream in log.streams for name in stream.columns}
     kinds = {stream.kind: stream for stream in reversed(log.streams)}
     reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
+    columns, lines = _of_one_body(columns)
     found: dict[str, ColumnContents] = {}
     for column in sorted(columns, key=_preference):
         target = guessed_log_column(column.name)
@@ -129,12 +125,13 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     _lay_flat(found, columns)
     bearing = _chosen(found, streams)
     names, others = ({column.name for column in of} for of in (found.values(), columns))
-    clock = next((column for column in columns if column.even and column.name not in names), None)
-    clocked = any(stream.start_ns is not None for stream in log.streams) or any(c.kind == "time" for c in columns)
-    lines = []
-    if "t_s" not in found and clock is not None and not log.recording and not clocked:
-        lines.append(entry("t_s", clock, _time_unit(clock)) + "   # rises in even steps; s, ms, us, ns")
+    free = sorted((column for column in columns if column.name not in names), key=lambda column: column.kind != "time")
+    clock = next((column for column in free if column.even or column.kind == "time"), None)
+    if "t_s" not in found and clock is not None and not log.recording:
+        unit, remark = _time_unit(clock) if clock.even else (None, "")
+        lines.append(entry("t_s", clock, unit) + remark.replace("names no unit", "rises in even steps"))
         columns.remove(clock)
+    x = found.get("ref_x_m")
     for target, column in found.items():
         # in the log of the wheels a pose without the name of a tracker may be the vehicle's own
         own = not log.recording and _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None
@@ -142,11 +139,28 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         if target == "ref_x_m" and (own or (reference and reference.kind == _ODOMETRY)):
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
-            lines.append(_line(target, column, log) + (_BESIDE if column is bearing else ""))
+            east = (
+                re.match("(.*_)?(ost|este?|east)", stem_and_unit(x.name)[0])
+                if x and target == "ref_theta_rad"
+                else None
+            )
+            lines.append(_line(target, column, log) + (_COMPASS if east else _BESIDE if column is bearing else ""))
         if target == "ref_theta_rad" and (_OF_QUATERNION.search(column.name) or _w(column) in others - {column.name}):
             lines[-1] = _quaternion_line(column, columns)
     lines += _wheel_lines(found, columns, streams)
     return sorted(lines, key=lambda line: not line.startswith("t_s")), found
+
+
+def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], list[str]]:
+    # of several bodies that a tracker sees the one that moves
+    spans: dict[str, float] = {}
+    for column in columns:
+        body, _, what = column.name.rpartition(":")
+        if what.startswith("Position "):
+            spans[body] = max(spans.get(body, 0.0), column.span)
+    still = [f"{body}:" for body in spans if spans[body] < max(spans.values())]
+    lines = [f"# bodies: {', '.join(spans)}; the one that moves most is taken"] if still else []
+    return [column for column in columns if not column.name.startswith(tuple(still))], lines
 
 
 def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
@@ -186,7 +200,7 @@ def _lay_flat(found: dict[str, ColumnContents], columns: Sequence[ColumnContents
     axes = [named[name] for name in names if name in named]
     if len(axes) < 3 or found.get("ref_y_m") is not axes[1]:
         return
-    spans = [(axis.high or 0.0) - (axis.low or 0.0) for axis in axes]
+    spans = [axis.span for axis in axes]
     up = spans.index(min(spans))
     # the floor is uneven, and a straight run's sideways motion small
     up = up if spans[up] < _LEVEL * sorted(spans)[1] else 2
@@ -224,17 +238,24 @@ def _line(target: str, column: ColumnContents, log: FileContents) -> str:
     needs, own, remark = split_suffix(target)[1], unit_named(column.unit), ""
     unit = stem_and_unit(column.name)[1] or (own if own != needs else None)
     if needs and unit is None and own != needs and column.kind != "time":
-        unit, remark = _time_unit(column) if target == "t_s" else needs, unit_remark(target)
-    return entry(target, column, unit, {"from_start": True} if log.recording and target == "range_m" else None) + remark
+        unit, remark = _time_unit(column) if target == "t_s" else (needs, unit_remark(target))
+    ahead = target == "range_m" and (log.recording or column.falls)
+    return entry(target, column, unit, {"from_start": True} if ahead else None) + remark
 
 
-def _time_unit(column: ColumnContents) -> str:
+def _time_unit(column: ColumnContents) -> tuple[str | None, str]:
     low, high = column.low or 0.0, column.high or 0.0
-    if _DAYS[0] < low <= high < _DAYS[1] and column.step < _DAY_STEP:
-        return "day"
+    if MappedColumn(column=column.name).unit_for("t_s"):
+        return None, ""
+    if column.whole and column.even and column.step == 1.0:
+        return "? Hz", '   # counts frames: state how many a second, as "50 Hz"'
     unit = next((unit for least, unit in _EPOCHS if high > least), "s")
-    # a counter of milliseconds may exceed the seconds since 1970
-    return next((one for least, one in _STEPS if column.whole and column.step > least), unit) if unit == "s" else unit
+    if _DAYS[0] < low <= high < _DAYS[1] and column.step < _DAY_STEP:
+        unit = "day"
+    elif unit == "s" and column.whole:
+        # a counter of milliseconds may exceed the seconds since 1970
+        unit = next((one for least, one in _STEPS if column.step > least), unit)
+    return unit, unit_remark("t_s")
 
 
 def _wheel_lines(
@@ -283,14 +304,12 @@ def _folded(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
 
 
 def _coupled(front: ColumnContents, rear: ColumnContents) -> bool:
-    if front.low is None or front.high is None or rear.low is None or rear.high is None:
-        return False
-    span = max(front.high - front.low, rear.high - rear.low)
-    return max(abs(front.low - rear.low), abs(front.high - rear.high)) <= _COUPLED * span
+    span = max(front.span, rear.span)
+    return max(abs((front.low or 0.0) - (rear.low or 0.0)), abs(front.span - rear.span)) <= _COUPLED * span
 
 
 def _turns(column: ColumnContents) -> bool:
-    return column.whole or (column.high or 0.0) - (column.low or 0.0) > 2.0 * math.pi
+    return column.whole or column.span > 2.0 * math.pi
 
 
 def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
@@ -342,20 +361,13 @@ def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Seque
     out = [] if timed else ['#t_s = ""   # no column looks like times; every log needs them']
     if not any(name.startswith(("counts_", "speed_", "v_mps")) for name in named):
         out += [
-            '#counts_left = ""   # no column looks like a wheel: name those of the encoders (unit = "rad/s", ...',
-            '#counts_right = ""   # where it holds no counts); for one wheel in front counts_front and steer_rad',
-            "#   of speeds in m/s: speed_left_mps, speed_right_mps; speed_rear_mps, steer_rad; or v_mps, omega_radps",
+            '#counts_left = ""   # no column looks like a wheel: name the encoders, with unit = "rad/s", ...',
+            '#counts_right = ""   # where they count nothing; of one wheel in front counts_front, steer_rad;',
+            "#   of speeds speed_left_mps, speed_right_mps; speed_rear_mps, steer_rad; or v_mps, omega_radps",
         ]
     return out
 
 
 def _kinds(logs: Sequence[FileContents]) -> list[str]:
-    kinds = {tuple(column.name for column in log.columns): log for log in logs if not log.recording}
-    if len(kinds) < 2:
-        return []
-    names = ", ".join(Path(log.name).name for log in kinds.values())[:110]
-    return [
-        f"# {len(kinds)} kinds of logs ({names}): one file a run is read.",
-        "# Where each holds a part of a run, join them by time first, or record them in one bag, TDMS or .mat file:",
-        "# the streams of a recording are joined on the wheels' times.",
-    ]
+    kinds = {tuple(column.name for column in log.columns) for log in logs if not log.recording}
+    return [f"# {len(kinds)} kinds of logs: those of a run are joined by files = {{...}}"] if len(kinds) > 1 else []

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest import guesses
-from calib.campaign.ingest.contents import ColumnContents, FileContents
+from calib.campaign.ingest.contents import ColumnContents, FileContents, run_in, run_number
 from calib.campaign.ingest.guesses import direction_of, guessed_table_column, plain_text, stem_and_unit
-from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, run_in, run_number, units_for
+from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, units_for
+from calib.campaign.ingest.runs import moment_of, names_moment
 from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.readers.sheets import SECTION
 from calib.campaign.settings import WHEEL_LOADS, bracketed, recognise
@@ -31,11 +32,11 @@ def unit_remark(name: str) -> str:
     return f"   # names no unit: {', '.join(units_for(name))[:40]}"
 
 
-#: payloads lie no further from the axle
 _LONGEST_M: Final = 3.0
 #: numbers below it are as likely masses of wheels in kg as the loads of a robot of 30 kg, and no other column tells
 _LIGHT_N: Final = 150.0
-#: the load of both rear wheels
+#: times further apart are of runs, not of a log's samples
+_SHORTEST_RUN_S: Final = 5.0
 _AXLE: Final = "load_axle_N"
 #: date and time in a file's name -> how a mapping writes them
 _MOMENTS: Final = (
@@ -51,20 +52,18 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
     """Return the lines for the run table's columns, and remarks on the others; runs without `logs` may be nameless."""
     lines = _place_lines(table)
     left: dict[str, list[str]] = {"recognised by their names": [], "kept as covariates": [], "not used": []}
-    sessions = [column for column in table.columns if guessed_table_column(column.name) == "session"]
-    dates = [column for column in sessions if stem_and_unit(column.name)[0] in {"datum", "date", "messdatum"}]
-    # a date is the session where nothing else is
-    passed_over = dates if len(sessions) > len(dates) else []
     targets = _targets(table)
     targets |= {one.name: "log" for one in table.columns if targets[one.name] != "run_id" and _names_logs(one, logs)}
-    if set(WHEEL_LOADS) & set(targets.values()):
-        passed_over = [*passed_over, *(column for column in table.columns if targets[column.name] == _AXLE)]
-    # what an instrument measured, beside what only says a length
-    measured = [c for c in table.columns if targets[c.name] == "distance_m" and guesses.by_rangefinder(c.name)]
-    passed_over = [
-        *passed_over,
-        *(c for c in table.columns if measured and targets[c.name] == "distance_m" and c not in measured),
-    ]
+
+    def of(target: str) -> list[ColumnContents]:
+        return [column for column in table.columns if targets[column.name] == target]
+
+    # where nothing else is: a date for the session, an axle's load, a length that no instrument measured
+    dates = [one for one in of("session") if stem_and_unit(one.name)[0] in {"datum", "date", "messdatum"}]
+    passed_over = dates if len(of("session")) > len(dates) else []
+    passed_over += of(_AXLE) if set(WHEEL_LOADS) & set(targets.values()) else []
+    unmeasured = [one for one in of("distance_m") if not guesses.by_rangefinder(one.name)]
+    passed_over += unmeasured if len(of("distance_m")) > len(unmeasured) else []
     readings = _reading_lines(table.columns)
     lines += readings.values()
     named = {*readings}
@@ -73,9 +72,10 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
             continue
         directions = [direction_of(text) for text in column.texts]
         # sessions may be called A and B
+        letters = {*map(plain_text, column.texts)} <= {"a", "b"} and targets[column.name] != "direction"
         is_direction = (
             0 < len(directions) <= 2 and all(directions) and targets[column.name] not in {"session", "run_id"}
-        )
+        ) and not letters
         name = "direction" if is_direction else targets[column.name]
         if name == "ref_theta_rad" and column.kind == "text" and len(directions) == 2:
             # a heading in words: E and W, north and south
@@ -99,12 +99,25 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
         lines += _sheet_lines(table.alike_sheets, named)
     if "run_id" not in named:
         number = 'run_id = {value = "r{n:03}"}   # no column names the runs: they are numbered'
-        lines.append(number if not logs else '#run_id = ""   # the column that names the runs')
+        unnamed = bool(logs) and not by_time(table, logs)
+        lines.append('#run_id = ""   # the column that names the runs' if unnamed else number)
     if "kind" not in named:
         lines.append('kind = {value = "corridor"}   # the route, where the table does not say')
+    lines += _exclusion_lines(table, named)
     for what, names in left.items():
         lines += [f"# {what}: {', '.join(names)[:110]}"] if names else []
     return lines
+
+
+def _exclusion_lines(table: FileContents, named: set[str]) -> list[str]:
+    # remarks, or a no in a column of valid runs
+    out = []
+    for column in table.columns if "excluded" not in named else ():
+        valid = re.search("gueltig|valid|^ok", stem_and_unit(column.name)[0]) is not None
+        values = {text: guesses.excludes(text, valid) for text in column.texts}
+        if any(values.values()):
+            out.append(f"#{entry('excluded', column, None, {'values': values})}   # leaves these runs out")
+    return out
 
 
 def _names_logs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
@@ -152,6 +165,15 @@ def _of_wheel(column: ColumnContents, side: str | None) -> str | None:
     name, unit = bracketed(column.name)
     target = guessed_table_column(f"{name} {side}" + (f" [{unit}]" if unit else ""))
     return target if target and side and side in target else None
+
+
+def has_clock(file: FileContents) -> bool:
+    """Return whether a file has a column of times as a log has them."""
+    return any(
+        (column.even and not (column.whole and column.step == 1.0 and guesses.guessed_log_column(column.name) != "t_s"))
+        or (column.kind == "time" and column.step < _SHORTEST_RUN_S)
+        for column in file.columns
+    )
 
 
 def run_column(table: FileContents) -> ColumnContents | None:
@@ -215,7 +237,7 @@ def _column_line(column: ColumnContents, name: str, further: dict[str, object] |
 
 def _may_be(target: str, column: ColumnContents, n_rows: int = 0) -> bool:
     # numbers that begin again name no runs
-    if target == "run_id" and column.high is not None and column.high - (column.low or 0.0) + 1 < n_rows:
+    if target == "run_id" and column.kind == "number" and column.span + 1 < n_rows:
         return False
     # of times the days are sessions
     if column.kind == "empty" or (target == "session" and column.form.startswith("times of day")):
@@ -254,13 +276,17 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
     if any(log.recording for log in logs):
         return {}
     groups = list(grouped((re.sub(r"\d+", "#", Path(log.name).name), log) for log in logs).values())
-    whole = [pattern for group in groups if (pattern := name_pattern([Path(log.name).stem for log in group]))]
+    one = all(len(group) == 1 for group in groups)
+    patterns = [name_pattern(stems) or stems[0] * one for stems in ([Path(o.name).stem for o in g] for g in groups)]
+    whole = [pattern for pattern in patterns if pattern]
     # files that each hold the wheels are separate runs: run_1_out, run_1_back
     wheels = sum("counts_left" in {guesses.guessed_log_column(c.name) for c in group[0].columns} for group in groups)
     if not 1 < len(groups) == len(whole) or wheels > 1:
         return {}
     pairs = zip(whole, groups, strict=True)
-    if not set.intersection(*({run_in(Path(log.name).stem, pattern) for log in group} for pattern, group in pairs)):
+    runs = set.intersection(*({run_in(Path(log.name).stem, pattern) for log in group} for pattern, group in pairs))
+    # those of a session have clocks
+    if not runs or (runs == {None} and not all(has_clock(group[0]) for group in groups)):
         return {}
     words = [re.findall(r"[^\W_]+", re.sub(r"\{.*?\}", " ", pattern)) for pattern in whole]
     tags = ["_".join(word for word in own if not all(word in other for other in words)) for own in words]
@@ -278,10 +304,19 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
     if several := files_of_a_run(logs):
         files = {tag: pattern for tag, (pattern, _) in several.items()}
         lines = [f"files = {toml_value(files)}   # the files of a run, joined by time"]
+    elif table is not None and logs[0].sheet:
+        lines = [f"sheet = {toml_value(name_pattern(stems) or '{run_id}')}   # a sheet a run"]
     elif table is None or len(logs) < 2 or any(_names_logs(column, logs) for column in table.columns):
         return []
     elif pattern := name_pattern(stems):
-        lines = [f"file = {toml_value(pattern + Path(logs[0].name).suffix)}"]
+        numbers = {int(run_in(stem, pattern) or 0) for stem in stems}
+        first = run_number(run_ids[0], None) if run_ids else column.low if column is not None else None
+        from_0 = first == 1 and (min(numbers), max(numbers)) == (0, table.n_rows - 1)
+        pattern = pattern.replace("{n", "{n-1") if from_0 else pattern
+        remark = "   # the logs count from 0, the runs from 1" if from_0 else ""
+        lines = [f"file = {toml_value(pattern + Path(logs[0].name).suffix)}{remark}"]
+    elif timed := by_time(table, logs):
+        return [f"file = {toml_value(timed)}   # the date and time of a run's row"]
     else:
         return ['#file = "{run_id}.csv"   # the log of a run']
     if run_ids and run_number(run_ids[0], None) is not None:
@@ -290,12 +325,24 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
     return lines
 
 
+def by_time(table: FileContents, logs: Sequence[FileContents]) -> str | None:
+    """Return the pattern of logs called by the date and time of a run's row, else None."""
+    moment = moment_of(column.texts[0] for column in table.columns if column.texts)
+    pattern, *others = dict.fromkeys(_with_moment([Path(log.name).name for log in logs])) or ("",)
+    fits = not others and "{time}" in pattern and any(names_moment(Path(log.name).name, moment) for log in logs)
+    return pattern if fits else None
+
+
+def _with_moment(names: Sequence[str]) -> Sequence[str]:
+    for form, sign in _MOMENTS:
+        if all(form.search(name) for name in names):
+            names = [form.sub(sign, name, count=1) for name in names]
+    return names
+
+
 def name_pattern(stems: Sequence[str]) -> str | None:
     """Return what logs' names have in common: a run's number, dates and times, text that differs."""
-    for form, sign in _MOMENTS:
-        if all(form.search(stem) for stem in stems):
-            stems = [form.sub(sign, stem, count=1) for stem in stems]
-    parts = [re.split(r"(\d+)", stem) for stem in stems]
+    parts = [re.split(r"(\d+)", stem) for stem in _with_moment(stems)]
     if len({len(part) for part in parts}) > 1 or len(parts[0]) < 2:
         return None
     columns = [[part[at] for part in parts] for at in range(len(parts[0]))]

@@ -1,8 +1,11 @@
 """The run table under calib's names, and which file is the log of which run."""
 
-from collections.abc import Collection, Sequence
+import re
+from collections.abc import Collection, Iterable, Sequence
 from collections.abc import Mapping as MappingType
+from contextlib import suppress
 from dataclasses import replace
+from datetime import UTC, datetime
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
@@ -10,30 +13,33 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.ingest.contents import WORKBOOK
+from calib.campaign.ingest.contents import WORKBOOK, expected_name, fits_name, run_in, run_number, with_number
 from calib.campaign.ingest.mapping import (
+    OF_A_RUN,
     TABLE_COLUMNS,
     LogSection,
     MappedColumn,
     Mapping,
     bad_line,
     counts_per_unit,
-    expected_name,
-    fits_name,
-    run_in,
-    run_number,
-    with_number,
 )
 from calib.campaign.model import Border, Campaign, RunTable
 from calib.campaign.readers import Layout, RawTable, read_table
 from calib.campaign.readers.sheets import COUNT_UNITS
-from calib.campaign.readers.table import comma_evidence, is_filled, numbers, object_array
+from calib.campaign.readers.table import (
+    NS_PER_S,
+    comma_evidence,
+    filled_cells,
+    is_filled,
+    moment_ns,
+    numbers,
+    object_array,
+)
 from calib.campaign.settings import bracketed, converted, recognise
 from calib.campaign.tables import run_table
 from calib.errors import BadFileError
 from calib.io import sha256_file
 
-#: in a message
 _LISTED: Final = 8
 
 
@@ -237,23 +243,30 @@ def _without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
 
 
 def match_logs(
-    runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border
+    runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border, table: RawTable | None = None
 ) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
     """Return each run's files by the names of ``log.files``, a single one under an empty name; and missing logs' names.
 
-    Raises BadFileError where no run finds its log although there are files, or a run finds two; see `mapped_runs`.
+    Raises BadFileError where no run finds its log, or two; see `mapped_runs`.
     """
 
     def unmatched(index: int, found: str) -> BadFileError:
-        remedy = "name the file or its folder among the sources, or correct log.file of the mapping"
+        remedy = "name the file or its folder, or correct log.file of the mapping"
         return BadFileError(shown, found, "one log for the run", remedy, row=int(runs.line[index]), column="log")
 
     named = runs.labels.get("log")
     matched: dict[int, dict[str, Path]] = {}
     missing: dict[int, str] = {}
-    patterns: dict[str, str | None] = {**log.files} or {"": log.file}
+    patterns: dict[str, str | None] = {**log.files} or {"": log.file or log.run_sheet}
+    moments: dict[int, tuple[str, ...]] = {}
+    if table is not None and log.file and not re.search(OF_A_RUN, log.file):
+        # the date and time of its row name a run's log
+        moments = dict(zip(table.line.tolist(), map(moment_of, zip(*table.columns.values(), strict=True)), strict=True))
+    if log.columns and not files:
+        border.say(shown, 'no log for [log]: name the files, or sheet = "Run {n}"', "no_logs", level="suspicious")
     for index, run_id in enumerate(map(str, runs.run_id)):
         found: dict[str, Path] = {}
+        moment = moments.get(int(runs.line[index]))
         for tag, pattern in patterns.items():
             wanted = (expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
             if not wanted and named is not None:
@@ -263,6 +276,7 @@ def match_logs(
                 path
                 for path in files
                 if (any(fits_name(path.name, name) for name in names) if wanted else path.stem == run_id)
+                and (moment is None or names_moment(path.name, moment))
             ]
             if len(fitting) > 1:
                 raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
@@ -275,11 +289,35 @@ def match_logs(
     if files and missing and not matched:
         index, name = next(iter(missing.items()))
         raise unmatched(index, f"no source file named {name!r}, nor any of the other runs'")
-    _note_unused({path for found in matched.values() for path in found.values()}, files, border)
+    _note_unused({path for found in matched.values() for path in found.values()}, files, log, border)
     return matched, missing
 
 
-def _note_unused(used: set[Path], files: Sequence[Path], border: Border) -> None:
+def moment_of(cells: Iterable[Any]) -> tuple[str, ...]:
+    """Return the first date and time in a row's cells as digits, year or day first; nothing without both."""
+    days, second = 0, 0
+    for cell in map(str, filled_cells(list(cells))):
+        for text in (cell, f"{cell} 00:00"):
+            with suppress(ValueError):
+                found = divmod(moment_ns(text) // NS_PER_S, 86_400)
+                days, second = days or found[0], second or found[1]
+                break
+    moment = datetime.fromtimestamp(86_400 * days + second, UTC)
+    return (f"{moment:%Y%m%d%H%M}", f"{moment:%d%m%Y%H%M}") if days and second else ()
+
+
+def names_moment(name: str, moment: Iterable[str]) -> bool:
+    """Return whether a file's name has the date and time of `moment_of`."""
+    return any(digits in re.sub(r"\D", "", name) for digits in moment)
+
+
+def sheet_of(path: Path) -> tuple[Path, str | None]:
+    """Return a log's file, and the sheet where it is one of a workbook: ``book.xlsx/Run 1``."""
+    book = path.parent
+    return (book, path.name) if book.suffix.lower() == WORKBOOK and book.is_file() else (path, None)
+
+
+def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border: Border) -> None:
     unused = [path for path in files if path not in used]
     digests = {sha256_file(path): path.name for path in used if path.is_file()} if unused else {}
     for path in unused:
@@ -287,10 +325,15 @@ def _note_unused(used: set[Path], files: Sequence[Path], border: Border) -> None
         text, code = "belongs to no run of the table", "unused_source"
         if twin is not None:
             text, code = f"holds the same bytes as {twin}", "repeated_log"
-        border.say(str(path), f"{text} and was omitted", code)
+        from_0 = log.file is not None and run_in(path.name, log.file) == "0"
+        text += " and was omitted" + "; where logs count from 0, write {n-1} in log.file" * from_0
+        border.say(str(path), text, code, level="suspicious" if from_0 else "info")
 
 
-def runs_of_files(files: Sequence[Path], log: LogSection) -> list[str]:
-    """Return the runs of files by the patterns of ``log.files``, in the order of their names."""
-    found = {run_in(path.name, pattern) for path in files for pattern in log.files.values()} - {None}
-    return sorted(filter(None, found), key=lambda run: (run_number(run, None) or 0, run))
+def files_of_runs(files: Sequence[Path], log: LogSection) -> dict[str, dict[str, Path]]:
+    """Return the runs of files by the patterns of ``log.files``, in the order of their names, and the files of each."""
+    found: dict[str, dict[str, Path]] = {}
+    for tag, pattern in log.files.items():
+        for path in (path for path in files if fits_name(path.name, pattern)):
+            found.setdefault(run_in(path.name, pattern) or "", {})[tag] = path
+    return dict(sorted(found.items(), key=lambda run: (run_number(run[0], None) or 0, run[0])))

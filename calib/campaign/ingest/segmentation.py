@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.ingest.guesses import continuous_counts
-from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog
-from calib.campaign.ingest.mapping import MappedColumn, Mapping, Segmentation, with_number
+from calib.campaign.ingest.contents import with_number
+from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog, continuous_counts
+from calib.campaign.ingest.mapping import MappedColumn, Mapping, Segmentation
 from calib.campaign.ingest.runs import mapped_runs
 from calib.campaign.model import REFERENCE_POSE, Border, Campaign, RunTable
 from calib.campaign.readers import RawTable
@@ -19,13 +19,9 @@ from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array
 from calib.errors import BadFileError
 from calib.types import BoolArray, FloatArray, in_frame
 
-#: counts by which a standing wheel may toggle
 _TOGGLE_COUNTS: Final = 3.0
-#: by which a standing wheel may differ from its last count
 _STANDING_COUNTS: Final = 1.5
-#: window in which a driving wheel moves by more
 _WINDOW_S: Final = 0.5
-#: that a run keeps at both ends
 _STANDSTILL_S: Final = 0.5
 
 
@@ -35,10 +31,8 @@ class Segment:
 
     run_id: str
     source: str
-    #: from the recording's first sample
     start_s: float
     end_s: float
-    #: of the recording's clock
     start_ns: int
     end_ns: int
 

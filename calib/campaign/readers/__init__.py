@@ -41,8 +41,8 @@ BAG_METADATA: Final = "metadata.yaml"
 def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Layout | None = None) -> RawTable:
     """Read a table, or the joined streams of a recording, with its suffix's reader.
 
-    `path`: a file, or a rosbag2 folder; `wanted`: which columns to keep, as numbers; None keeps all as read. Raises
-    BadFileError where the file is missing, unknown or damaged, or an extra is not installed.
+    `wanted`: which columns to keep, as numbers; None keeps all as read. Raises BadFileError where the file is missing,
+    unknown or damaged, or an extra is not installed.
     """
     if holds_recording(path):
         return joined_table(_read(path, shown, wanted))

@@ -1,6 +1,6 @@
 """Files of measuring programs: MATLAB files of version 5 to 7.2, and TDMS files with the ``tdms`` extra.
 
-MATLAB's objects are never loaded; its element tree is checked before a reader in C, which trusts every tag.
+MATLAB's element tree is checked before a reader in C, which trusts every tag.
 """
 
 import logging
@@ -33,9 +33,7 @@ _ELEMENT_TYPES: Final = frozenset(range(1, 19)) - {8, 10, 11}
 #: classes of arrays (table 1-2, with function handles and opaque objects)
 _ARRAY_CLASSES: Final = range(1, 18)
 _CHARACTERS, _SPARSE, _LAST_NUMERIC = 4, 5, 15
-#: flag: an imaginary part follows
 _COMPLEX_FLAG: Final = 0x800
-#: cells, structures, objects
 _CONTAINER_CLASSES: Final = range(1, 4)
 _MAX_DEPTH: Final = 32
 

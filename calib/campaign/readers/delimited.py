@@ -31,21 +31,20 @@ from calib.errors import BadFileError
 from calib.types import FloatArray, grouped, unit_named
 
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
-#: delimiter -> all bytes but it and line feeds
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
-#: searched for the header
 _HEAD_BYTES: Final = 1 << 16
 #: tables of numbers up to so many bytes are read without pandas, whose import takes longer
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
 _FEW_ROWS, _LEAST_LINES = 8, 2
-#: keeps a file out of a batch
 _BATCH_ODD: Final = (b'"', b"\r", b";", b"\t", b"\0")
 _BATCH_SIGNED_ZERO: Final = (b"-0,", b"-0\n")
 #: beyond it a float64 skips whole numbers
 _EXACT_WHOLE: Final = 2.0**53
 _REMARK: Final = re.compile(rb"(?m)^[ \t]*#[^\n]*")
 _BLANKS: Final = re.compile(rb"[ \t]+")
+_FRAME_RATE: Final = re.compile(rb"(?im)(?:rate|frequency)\W+(\d+(?:\.\d+)?)|^(\d+(?:\.\d+)?)[,;\t ]*$")
+_FRAMES: Final = re.compile(rb"Frames?(?=[,;\t])", re.IGNORECASE)
 
 
 def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:
@@ -63,11 +62,15 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         raise BadFileError(shown, found, "a header line with column names", "export the table again")
     if delimiter != "," and not any(note.code == "delimiter" for note in notes):
         notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
-    above = (
-        _split_cells([data[:start].decode("utf-8").splitlines()[-1]], delimiter)[0] if skipped and layout.lab else ()
-    )
+    preamble = data[:start].decode("utf-8").splitlines() if skipped and layout.lab else []
+    above = _split_cells(preamble[-1:], delimiter)[0] if preamble else []
+    if layout.lab and (rate := _FRAME_RATE.search(data[:start])) and (name := _FRAMES.match(data, start)):
+        data = data[: name.end()] + b" [%g Hz]" % float(rate[1] or rate[2]) + data[name.end() :]
     unit = unit_named((re.findall(rb"Length Units,(\w+)", data[:start]) or [b""])[0].decode())
     above = [f"{cell} [{unit}]" if unit and cell == "Position" else cell for cell in above]
+    bodies = next((row for row in _split_cells(preamble, delimiter) if row[1:2] == ["Name"]), [])
+    if len({*bodies[2:]}) > 1:
+        above = [f"{body}:{cell}" if cell else cell for body, cell in zip(bodies, above, strict=False)]
     if wanted is not None and data.find(b'"', start) < 0:
         first = data[start : start + _HEAD_BYTES].decode("utf-8", errors="ignore").splitlines()[:LOOKED_AT]
         rows: Rows = list(enumerate(_split_cells(first, delimiter), start=skipped + 1))
@@ -304,8 +307,11 @@ def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
     except UnicodeError:
         if encoding:
             raise BadFileError(shown, "broken UTF-16 text", "whole characters", "export the file again") from None
-        data = data.decode("latin-1").encode("utf-8")
-        notes.append(Note("info", shown, "the text is not UTF-8; it was read as Latin-1", "encoding"))
+        # within words no superscripts
+        central = re.search(rb"[A-Za-z][\xb3\xb9\xbf\x9a-\x9f][a-z]", data) is not None
+        data = data.decode("cp1250" if central else "latin-1", errors="replace").encode("utf-8")
+        name = "Windows-1250" if central else "Latin-1"
+        notes.append(Note("info", shown, f"the text is not UTF-8; it was read as {name}", "encoding"))
     if b"\0" in data:
         row = data[: data.index(b"\0")].count(b"\n") + 1
         raise BadFileError(shown, "a NUL byte", "text", "export the file again; it is damaged or binary", row=row)

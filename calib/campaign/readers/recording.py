@@ -1,8 +1,4 @@
-"""Recordings: streams with clocks of their own in integer nanoseconds; the readers of TUM trajectories and of ROS.
-
-A TUM trajectory (``.tum``) has lines of ``timestamp tx ty tz qx qy qz qw``, with ``#`` before remarks. ROS, with the
-``ros`` extra: ROS 1 bags, rosbag2 folders and files (sqlite3, MCAP), plain MCAP.
-"""
+"""Recordings: streams with clocks of their own in integer nanoseconds; the readers of TUM trajectories and of ROS."""
 
 import math
 import re
@@ -22,9 +18,7 @@ from calib.campaign.readers.table import GAP_STEPS, NS_PER_S
 from calib.errors import BadFileError, error_words, missing_reader
 from calib.types import FloatArray, IntArray, unwrapped
 
-#: note of message types not read
 UNREAD_TYPES: Final = "skipped"
-#: see `_planar_pose`
 POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 #: squared length: of an unset one 0
 _LEAST_QUATERNION: Final = 0.25
@@ -40,11 +34,9 @@ class StreamContents:
     clock: str
     columns: tuple[str, ...]
     span_s: float = 0.0
-    #: by the median step
     rate_Hz: float = 0.0
     n_gaps: int = 0
     longest_gap_s: float = 0.0
-    #: as recorded
     start_ns: int | None = None
     behind_arrival_s: float | None = None
 
@@ -363,7 +355,6 @@ def _finite(value: float) -> float:
     return float(value) if math.isfinite(value) else math.nan
 
 
-#: message type -> its parts
 MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     "sensor_msgs/msg/JointState": _joint_state,
     "nav_msgs/msg/Odometry": lambda m: [("", POSE + _TWIST, _pose(m.pose.pose) + _twist(m.twist.twist), m.header)],
@@ -385,7 +376,6 @@ MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     ),
 }
 
-#: by the last part of a column's name
 COLUMN_UNITS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("x", "y", "z", "range", "range_ahead"), "m"),
     **dict.fromkeys(("v_x", "v_y"), "mps"),

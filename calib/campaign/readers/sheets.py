@@ -15,7 +15,6 @@ from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells,
 from calib.errors import BadFileError
 from calib.types import SUFFIXES, unit_named
 
-#: number of a row in the file, from 1, and its cells as read
 Rows = list[tuple[int, Sequence[Any]]]
 #: unit of a wheel's column -> what its numbers are, turns (or counts, metres) a unit, and other spellings in lower case
 COUNT_UNITS: Final[Mapping[str, tuple[str, float, str | None]]] = {
@@ -39,18 +38,13 @@ _OTHER_UNITS: Final = re.compile(
     r"m?v|m?a|k?w|k?hz|%|m?bar|[hk]?pa|nm|h|min|d|m/s²|[dmyhsfjt]{1,4}([.:/, \-]+[dmyhsfjt]{1,4})+", re.IGNORECASE
 )
 _NO_UNIT: Final = frozenset({"", "-", "–", "1"})
-#: longest unknown unit in a row of units
 _SHORT: Final = 8
 _TEXT_SHARE: Final = 0.6
-#: groups, names, further names, units
 _HEADER_ROWS: Final = 4
-#: rows searched
 LOOKED_AT: Final = 20
 #: of a table in which a row of one text is a remark
 _LEAST_COLUMNS: Final = 3
-#: column of headings above their rows
 SECTION: Final = "section"
-#: names of columns that no row names
 UNNAMED: Final = re.compile(r"column \d+")
 _BRACKETED: Final = re.compile(r"[\[(].*[\])]")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
@@ -240,8 +234,7 @@ def table_rows(
 ) -> tuple[list[str], Rows, list[Note]]:
     """Return names, and the rows beneath the header; of a laboratory's only those of the table, others noted.
 
-    A row of one text is a remark, unless it is written as other cells of its column are. A unit that all cells of a
-    column repeat goes into its name. `rows`: the `n_rows` of the header first; see `heading`.
+    `rows`: the `n_rows` of the header first; see `heading`.
     """
     heads, rows = [_without_end(_texts(row)) for _, row in rows[:n_rows]], rows[n_rows:]
     if not layout.lab:

@@ -19,7 +19,6 @@ Cells = npt.NDArray[Any]
 Notes = list[Note] | None
 
 NS_PER_S: Final = 1_000_000_000
-#: a gap exceeds so many usual steps
 GAP_STEPS: Final = 5.0
 #: no measurement is larger, and squares would overflow
 LARGEST_VALUE: Final = 1e30
@@ -27,10 +26,8 @@ LARGEST_VALUE: Final = 1e30
 HEADER_ROWS: Final = 60
 #: of motion capture: kind, name, number, quantity, axis
 _HEADER_LINES: Final = 6
-#: of the usual width, and of texts
 _HEADER_SHARE: Final = 0.6
 
-#: read as empty, with a note
 _NOT_MEASURED: Final = frozenset({"n.a.", "n/a", "k.a.", "k. a.", "--", "?"})
 EMPTY: Final = frozenset({"", "nan", "na", "#n/a", "null", "none", "-"}) | _NOT_MEASURED
 _POINT: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -38,7 +35,6 @@ _COMMA: Final = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
 _POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?", re.ASCII)
 #: 1,234 is 1.234 in one country and 1234 in another
 _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
-#: thousands with marks: 39.287,5 and 39 287,5
 _GROUPED: Final = re.compile(r"[+-]?[1-9]\d{0,2}([., '’\xa0\u202f])\d{3}(?:\1\d{3})*(?:(?!\1)([.,])\d*)?", re.ASCII)
 _HEX: Final = re.compile(r"0x[\da-f]+", re.ASCII | re.IGNORECASE)
 
@@ -60,7 +56,6 @@ _TIMES: Final = {
     "time_of_day": re.compile(_CLOCK, re.ASCII),
 }
 
-#: name -> example
 TIME_FORMATS: Final = {
     "iso8601": "2026-05-04T10:15:30.250+02:00",
     "day_first": "04.05.2026 10:15:30,250",
@@ -199,8 +194,8 @@ def numbers(
 ) -> tuple[FloatArray, bool]:
     """Return cells as numbers, NaN where empty, and whether a decimal comma was read.
 
-    Raises BadFileError at the first cell that is no finite number, or could be read in two ways. `decimal_comma`: what
-    the rest of the file says; None where nothing is known, and then ``1,234`` is refused; see `comma_evidence`.
+    Raises BadFileError at the first cell that is no finite number, or could be read in two ways.
+    `decimal_comma`: see `comma_evidence`; without, ``1,234`` is refused.
     """
     if cells.dtype != object:
         values = cells.astype(np.float64)

@@ -19,7 +19,6 @@ from calib.campaign.readers.sheets import Rows, finished, heading, table_rows
 from calib.campaign.readers.table import Layout, RawTable, Wanted, filled_cells, object_array
 from calib.errors import BadFileError, error_words, missing_reader, refuse_beyond
 
-#: parts with cells and their texts; all others are small
 _SHEET_PART: Final = re.compile(r"(?i)/?xl/worksheets/[^/]*\.xml")
 _TEXTS_PART: Final = re.compile(r"(?i)/?xl/sharedstrings\.xml")
 _BOOK_PART: Final = re.compile(r"(?i)/?xl/workbook\.xml")
@@ -27,7 +26,6 @@ _OTHER_PART: Final = re.compile(r"(?i).*\.(xml|rels)")
 _OTHER_BYTES: Final = 8 << 20
 #: XML read at once; no sound element is as long
 _BLOCK_BYTES: Final = 1 << 20
-#: column, row, and whether the cell ends at once: empty
 _CELL: Final = re.compile(rb"<(?:\w{1,20}:)?c\s[^<>]*?\br=[\"']([A-Z]{1,3})([0-9]{1,7})[\"'][^<>]*?(/?)>")
 _MERGED: Final = re.compile(
     rb"<(?:\w{1,20}:)?mergeCell\s[^<>]*?\bref=[\"']([A-Z]{1,3})([0-9]{1,7}):([A-Z]{1,3})([0-9]{1,7})[\"']"

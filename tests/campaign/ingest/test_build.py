@@ -11,7 +11,8 @@ import pytest
 
 from calib.campaign.check import check_campaign
 from calib.campaign.ingest.build import ingest
-from calib.campaign.ingest.mapping import LogSection, expected_name
+from calib.campaign.ingest.contents import expected_name
+from calib.campaign.ingest.mapping import LogSection
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
 from calib.reporting.topics.runs import after_check

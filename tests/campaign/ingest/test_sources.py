@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from calib.campaign.ingest.build import ingest
+from calib.campaign.ingest.contents import expected_name, fits_name
 from calib.campaign.ingest.describe import describe
-from calib.campaign.ingest.mapping import LogSection, MappedColumn, expected_name, fits_name, unit_spelled, units_for
+from calib.campaign.ingest.mapping import LogSection, MappedColumn, unit_spelled, units_for
 from calib.campaign.ingest.proposal_table import name_pattern
 from calib.campaign.model import Campaign
 from calib.campaign.read import log_totals
@@ -209,7 +210,7 @@ def test_other_kinds_of_logs_are_said(tmp_path: Path) -> None:
     (tmp_path / "enc_1.csv").write_text("t,enc_left,enc_right\n" + "".join(f"{k},{9 * k},{8 * k}\n" for k in range(50)))
     (tmp_path / "cam_2.csv").write_text("t,x,y,yaw\n" + "".join(f"{k},{9 * k}.5,{8 * k},0\n" for k in range(50)))
     text = describe([tmp_path / "enc_1.csv", tmp_path / "cam_2.csv"]).to_toml()
-    assert "2 kinds of logs (enc_1.csv, cam_2.csv)" in text and "join them by time" in text
+    assert "2 kinds of logs: those of a run are joined by files" in text
 
 
 def _split(folder: Path, n_runs: int = 3) -> tuple[list[np.ndarray], Path]:
