@@ -10,7 +10,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
-from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.decision.fix import PLAN
 from calib.gap.decision.kind import NO_GAP_SHOWN
 from calib.gap.diagnose import diagnose_in_full
@@ -26,7 +26,6 @@ from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
 from calib.gap.simulator.fix import (
     SimulatorFix,
-    alone,
     fixed,
     iterated,
     left_by,
@@ -119,22 +118,6 @@ def _confirmed(searched: _Search, differences: Differences, rng: np.random.Gener
     found = iterated(diagnosis, differences) if named else None
     if diagnosis.kind in NO_GAP_SHOWN:
         return diagnosis
-    if diagnosis.kind is not VerdictKind.EXPLAINED or len(diagnosis.causes) > len(named):
-        tried, by_itself = alone(diagnosis, differences, found)
-        typical = {each.name: each.parameter.typical for each in tried.values()}
-        for fix in (by_itself, found):
-            if fix is None or fix.deviation.keys() != typical.keys():
-                continue
-            through = differences.through(fix.deviation, fix.table, typical)
-            again = searched(through, ())
-            names, parts = named_parameters(again, differences).keys(), {form.effect for form in again.fitted.forms}
-            others = {cause.effect for cause in again.causes} - names
-            # not where what it omits has a part, nor for other effects of the library
-            if names and names == parts & tried.keys() and others <= {cause.effect for cause in diagnosis.causes}:
-                # beside other effects parameters have other sizes
-                diagnosis = _tied_as(diagnosis, again)
-                found = iterated(again, through, fix if names == tried.keys() else None)
-                break
     rivals = rivals_of(diagnosis, differences, found)
     if len(rivals) > 1 or any(each.names != frozenset(c.effect for c in diagnosis.causes) for each in rivals):
         diagnosis, found = _told_by_runs(searched, diagnosis, differences, rivals) or (diagnosis, found)
@@ -159,18 +142,13 @@ def _told_by_runs(
         names = {cause.effect for cause in again.causes}
         if names == best.names:
             return as_rivals(again, rivals), iterated(again, through, best.fix)
+        if names and names < best.names:
+            # fewer do as well
+            return again, iterated(again, through)
         if not (others := sorted(names - best.names)):
             break
         without += others
     return None
-
-
-def _tied_as(first: Diagnosis, diagnosis: Diagnosis) -> Diagnosis:
-    names = {cause.effect for cause in diagnosis.causes}
-    own = [group for group in first.groups if all(name.startswith(SIMULATOR_PREFIX) for name in group)]
-    lost = [group for group in own if group[0] in names and group not in diagnosis.groups]
-    kind = VerdictKind.AMBIGUOUS if lost and diagnosis.kind is VerdictKind.EXPLAINED else diagnosis.kind
-    return replace(diagnosis, kind=kind, groups=(*diagnosis.groups, *lost))
 
 
 def _simulated_observations(measured: Observations, differences: Differences) -> Observations:

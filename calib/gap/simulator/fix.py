@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
 from typing import Final
 
 import numpy as np
@@ -35,14 +34,10 @@ ALIKE: Final = 1.3
 SECANT_SHARE: Final = (0.01, 0.05)
 #: what settles a fix that the simulator does not confirm
 FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose again"
-#: most that parameters alone may leave over what all causes do, and of the gap's squares
-ALONE: Final = 2.0
+#: most of the gap's squares that parameters alone may leave
 ALONE_SHARE: Final = 0.5
 #: squares over the noise's that settle a fix
 LACKING: Final = 1.5
-#: parameters tried together, and sets of them weighed: all of thirty parameters
-MOST_ALONE: Final = 3
-MOST_SETS: Final = 5000
 #: prior standard deviation of a correction in typical sizes: a finite solution
 CORRECTION_SD: Final = 30.0
 
@@ -144,44 +139,14 @@ def iterated(diagnosis: Diagnosis, differences: Differences, start: SimulatorFix
     return _followed(diagnosis, fitted, differences, named, start, trial)
 
 
-def alone(
-    diagnosis: Diagnosis, differences: Differences, start: SimulatorFix | None
-) -> tuple[dict[str, Declared], SimulatorFix | None]:
-    """Return parameters that may do without the other causes, and the fix by them; None where they do not."""
-    # the named ones, `start` the fix by them, or those of `_most_able`, fewest first
-    own = named_parameters(diagnosis, differences)
-    # beside effects of the library a fix may lie where the parameters by themselves lead nowhere
-    begin = start if len(diagnosis.causes) == len(own) else None
-    for named in (own, *(some for some in _most_able(diagnosis, differences) if some.keys() != own.keys())):
-        if named:
-            found = run_alone(diagnosis, differences, named, begin if named is own else None)
-            if found.square < ALONE * diagnosis.fitted.chi_square:
-                return named, found
-    return own, None
-
-
 def run_alone(
-    diagnosis: Diagnosis,
-    differences: Differences,
-    named: Mapping[str, Declared],
-    start: SimulatorFix | None = None,
-    limit: float = np.inf,
+    diagnosis: Diagnosis, differences: Differences, named: Mapping[str, Declared], limit: float = np.inf
 ) -> SimulatorFix:
-    """Return the fix by parameters without any other cause.
-
-    Parameters
-    ----------
-    diagnosis, differences, named
-        The first verdict; the simulator about nominal; the parameters.
-    start
-        A fix already run.
-    limit
-        Squares that are too many, beside half of the gap's: a fix that promises no fewer is given up.
-    """
+    """Return the fix by parameters alone; given up where it promises to leave `limit`, or half of the gap's squares."""
     assert diagnosis.evidence is not None
     base = diagnosis.evidence.search.base
     most = min(limit, ALONE_SHARE * base.chi_square)
-    return _followed(diagnosis, base, differences, named, start, limit=most)
+    return _followed(diagnosis, base, differences, named, None, limit=most)
 
 
 def _followed(
@@ -340,25 +305,6 @@ def scaled_signatures(diagnosis: Diagnosis) -> tuple[list[Form], IntArray, Float
     whole = whitened_rows(nominal, diagnosis.noise, np.concatenate([*columns, gap], axis=2))
     sign = np.array([form.parameters[0].sign for form in forms])
     return forms, sign, whole[:, :-1], whole[:, -1]
-
-
-def _most_able(diagnosis: Diagnosis, differences: Differences) -> Iterator[dict[str, Declared]]:
-    # radii off alike show in the two together alone: of each number the best set, not the best after the best
-    forms, sign, columns, gap = scaled_signatures(diagnosis)
-    for size in range(1, min(MOST_ALONE, len(forms)) + 1):
-        sets = islice(combinations(range(len(forms)), size), MOST_SETS)
-        square, best = min((square_left(columns[:, [*some]], gap, sign[[*some]]), some) for some in sets)
-        if square < np.inf:
-            yield {forms[number].effect: differences.by_cause[forms[number].effect] for number in best}
-
-
-def bend(diagnosis: Diagnosis, differences: Differences, fix: SimulatorFix) -> float:
-    """Return by how much a fix's run is off its parameters' changes about nominal, whitened."""
-    change = difference(fix.table, differences.nominal)
-    straight = sum((differences.change[name] * size for name, size in fix.deviation.items()), np.zeros_like(change))
-    nominal = diagnosis.nominal
-    missed = in_end_frame(nominal, (change - straight)[differences.rows(nominal.s)])
-    return float(np.linalg.norm(whitened_rows(nominal, diagnosis.noise, missed[:, :, None])))
 
 
 def square_left(columns: FloatArray, gap: FloatArray, sign: IntArray) -> float:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, islice
 from math import exp, log, sqrt
 from typing import Final
 
@@ -10,16 +11,10 @@ import numpy as np
 from calib.gap.decision.confounding import LOG_EVIDENCE_WINDOW
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.trials import most_square
-from calib.gap.simulator.fix import (
-    SimulatorFix,
-    alone,
-    bend,
-    named_parameters,
-    run_alone,
-    scaled_signatures,
-    square_left,
-)
-from calib.gap.simulator.runner import Differences
+from calib.gap.effects.simulator import in_end_frame
+from calib.gap.inference.fit import whitened_rows
+from calib.gap.simulator.fix import SimulatorFix, named_parameters, run_alone, scaled_signatures, square_left
+from calib.gap.simulator.runner import Differences, difference
 from calib.gap.simulator.settings import Declared
 
 #: of a set's squares and Schwarz's penalty over the best one's, beyond which it is ten times less probable
@@ -28,6 +23,9 @@ WINDOW: Final = 2.0 * LOG_EVIDENCE_WINDOW
 BENT_SHARE: Final = 0.05
 #: squares over noise's that a run's signatures may promise before it is given up: twice the noise level
 PROMISED: Final = 4.0
+#: parameters tried together, and sets of them weighed: all of thirty parameters
+MOST_ALONE: Final = 3
+MOST_SETS: Final = 5000
 #: share by which a size moves where another parameter beside it takes a part
 MOVED: Final = 0.1
 
@@ -45,7 +43,7 @@ class Rival:
 def rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix | None) -> list[Rival]:
     """Return what explains the gap to the noise, the most probable first; empty where no parameters alone do.
 
-    Run are the named parameters, those most able, and of the best set each with one parameter left out, or another in
+    Run are the named parameters, those most able, and of the best set each without one parameter, or with another in
     its place. `found`: the fix by those named.
     """
     n_rows, named = int(diagnosis.nominal.s.usable.sum()), named_parameters(diagnosis, differences)
@@ -55,11 +53,11 @@ def rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFi
         return Rival(frozenset(some), fix.square + len(some) * log(n_rows), some, fix)
 
     if found is not None and len(named) == len(verdict):
-        run = [rival(named, found)]
+        run = [rival(named, found)] if found.square <= limit else []
     else:
-        tried, fix = alone(diagnosis, differences, found)
-        run = [] if fix is None else [rival(tried, fix)]
-    run = [each for each in run if each.fix is not None and each.fix.square <= limit]
+        able = (some for some in (named, *_most_able(diagnosis, differences)) if some)
+        alone = ((some, run_alone(diagnosis, differences, some)) for some in able)
+        run = [*islice((rival(some, fix) for some, fix in alone if fix.square <= limit), 1)]
     for some in _neighbours(diagnosis, differences, run[0], limit) if run else ():
         fix = run_alone(diagnosis, differences, some, limit=PROMISED * limit)
         if fix.square > limit:
@@ -89,7 +87,7 @@ def _neighbours(
     forms, sign, columns, gap = scaled_signatures(diagnosis)
     names = [form.effect for form in forms]
     inside = [names.index(name) for name in best.named]
-    bent = max(bend(diagnosis, differences, best.fix), BENT_SHARE * float(np.linalg.norm(gap)))
+    bent = max(_bend(diagnosis, differences, best.fix), BENT_SHARE * float(np.linalg.norm(gap)))
     most = (sqrt(limit) + bent) ** 2
     for number in inside:
         others = [each for each in inside if each != number]
@@ -99,13 +97,32 @@ def _neighbours(
                 yield {names[each]: differences.by_cause[names[each]] for each in some}
 
 
+def _most_able(diagnosis: Diagnosis, differences: Differences) -> Iterator[dict[str, Declared]]:
+    # radii off alike show in the two together alone: of each number the best set, not the best after the best
+    forms, sign, columns, gap = scaled_signatures(diagnosis)
+    for size in range(1, min(MOST_ALONE, len(forms)) + 1):
+        sets = islice(combinations(range(len(forms)), size), MOST_SETS)
+        square, best = min((square_left(columns[:, [*some]], gap, sign[[*some]]), some) for some in sets)
+        if square < np.inf:
+            yield {forms[number].effect: differences.by_cause[forms[number].effect] for number in best}
+
+
+def _bend(diagnosis: Diagnosis, differences: Differences, fix: SimulatorFix) -> float:
+    # whitened, of a fix's run off its parameters' changes about nominal
+    change = difference(fix.table, differences.nominal)
+    straight = sum((differences.change[name] * size for name, size in fix.deviation.items()), np.zeros_like(change))
+    nominal = diagnosis.nominal
+    missed = in_end_frame(nominal, (change - straight)[differences.rows(nominal.s)])
+    return float(np.linalg.norm(whitened_rows(nominal, diagnosis.noise, missed[:, :, None])))
+
+
 def as_rivals(diagnosis: Diagnosis, rivals: Sequence[Rival]) -> Diagnosis:
     """Return the diagnosis of the first rival's causes with the odds of all, and what they are confounded with."""
     best = next(each for each in rivals if each.fix is not None)
     weights = [exp(0.5 * (rivals[0].score - each.score)) for each in rivals]
     groups = {group[0]: tuple(group) for group in diagnosis.groups}
     for other in rivals:
-        # what stands in the place of a cause, or takes a part of it; one left out alone is less probable
+        # what stands in the place of a cause, or takes a part of it; one omitted alone is less probable
         for name in sorted(name for name in best.names if name not in other.names or _moves(name, best, other)):
             if instead := sorted(other.names - best.names):
                 groups[name] = tuple(dict.fromkeys((*groups.get(name, (name,)), *instead)))
