@@ -143,7 +143,7 @@ def _told_by_runs(
         if names == best.names:
             return as_rivals(again, rivals), iterated(again, through, best.fix)
         if names and names < best.names:
-            # fewer do as well
+            # fewer close the gap
             return again, iterated(again, through)
         if not (others := sorted(names - best.names)):
             break
