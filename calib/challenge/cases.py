@@ -33,14 +33,14 @@ _TRIES: Final = 6
 class Recipe:
     """One case to make."""
 
-    case: str  #: neutral name
+    case: str
     number: int  #: place in the unshuffled list; with the seed it determines all that is drawn
-    group: str  #: one of `GROUPS`
+    group: str
     effects: tuple[str, ...] = ()  #: ``effect`` or ``effect/form``; empty is none
     targets: tuple[float, ...] = ()  #: wanted signal of each; NaN is the typical size
     design: str = "good"  #: ``good``, ``laser_only``, or a poor design of the plant
     aliases: tuple[str, ...] = ()  #: exact aliases on these runs
-    deleted: str = ""  #: deleted from the library
+    deleted: str = ""
 
 
 #: allowed by the gate

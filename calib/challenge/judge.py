@@ -211,7 +211,7 @@ class Answer:
     seen: bool
     first: bool  #: the planted effect is named first
     in_group: bool  #: it, one of its group, or its family is named
-    open: bool  #: see `OPEN`
+    open: bool
     #: others alone are named; of an outside cause: a fix is recommended
     wrong: bool
 

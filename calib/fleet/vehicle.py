@@ -51,7 +51,7 @@ class Drift:
 
     per_day_m: float
     std_m: float
-    variance_m2: float  #: of a session
+    variance_m2: float
     dof: float
     last_day: float
 

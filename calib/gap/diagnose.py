@@ -206,7 +206,7 @@ class _Sought:
     model: OdometryModel | None
     applied: Sequence[EffectSection]
     exclude: tuple[str, ...]
-    into_windows: bool | None = None  #: see `observations_of`
+    into_windows: bool | None = None
 
     def situation(self, campaign: Campaign) -> Situation:
         """Return what was driven, blunders of the reference's mounting and of the encoders corrected."""

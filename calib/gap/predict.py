@@ -28,7 +28,7 @@ DELAY_STEP_S: Final = 0.05
 class Path:
     """Path of every observation under a hypothesis, each in the frame of its own start."""
 
-    s: Observations  #: what was driven
+    s: Observations
     perturbation: Perturbation  #: the hypothesis
     end: FloatArray  #: shape (n_obs, 3): end pose
     #: shape (n_obs, n_channels): predicted reading of each channel: distance, x, y, heading, front, steering

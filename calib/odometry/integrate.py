@@ -50,7 +50,7 @@ class _Flat:
     starts: IntArray
     runs: IntArray
     pose: FloatArray  #: shape (3, n_runs): start poses
-    shape: tuple[int, ...]  #: of the travel as given
+    shape: tuple[int, ...]
 
 
 def _fill_arrays(flat: _Flat, x: FloatArray, y: FloatArray, theta: FloatArray, *, scheme: str) -> None:

@@ -29,7 +29,7 @@ class Study:
     title: str
     routes: tuple[str, ...]
     ratios: tuple[float, ...]
-    which: tuple[str, ...]  #: which wheels are off, of `WHICH`
+    which: tuple[str, ...]
     figures: tuple[str, ...]  #: of the paper, one a route
 
 
@@ -170,7 +170,7 @@ class Improvement:
 class Headline:
     """End error without and with the correction, each the largest case of its sweep, and their ratio."""
 
-    which: str  #: wheel that is off
+    which: str
     #: largest global e_x by absolute value
     without_m: float
     corrected_m: float
@@ -254,7 +254,7 @@ class LawJourneys:
     #: of the uncorrected odometry; None: the reference load, or the nearest valid one
     reference_N: tuple[float, float] | None = None
     loading: Loading | None = None  #: changes on the way; None: the first of `loads_N` all along
-    draws: int = 20_000  #: draws of the Monte Carlo
+    draws: int = 20_000
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

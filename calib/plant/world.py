@@ -28,7 +28,7 @@ class Noise:
     #: of a run: zero of the steering angle, and relative front radius
     steer_rad: float = 1e-3
     front: float = 3e-4
-    reading_rad: float = 2e-3  #: one reading of the steering angle
+    reading_rad: float = 2e-3
     tail: float = 5.0  #: degrees of freedom of Student's t over the runs; above 2, infinite is normal
 
     def times(self, factor: float) -> "Noise":
@@ -338,6 +338,6 @@ class Cause:
     """An effect with its size, as it truly acts in a case."""
 
     effect: str
-    size: float  #: in the form's unit
+    size: float
     form: str = "plain"
     knobs: Knobs = field(default_factory=dict)  #: what else was drawn

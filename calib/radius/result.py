@@ -62,7 +62,7 @@ class Fit(Result):
 
     name: str
     simulated: bool  #: true where a program made the data
-    left: WheelFit  #: the moving wheels
+    left: WheelFit
     right: WheelFit
     radii: EffectiveRadii  #: the runs behind them
     #: by wheel, where measured

@@ -180,12 +180,12 @@ def half_of_mean(results: FloatArray) -> float:
 class SizeDifference:
     """A cause whose size differs between groups of runs beyond noise and deviations of its form."""
 
-    effect: str  #: id of the effect
+    effect: str
     by: str  #: what the runs are grouped by: ``kind``, ``speed``, ``load``, ``balance``, ``direction``, ``session``
     value: str  #: the group that differs most significantly
     reference: str  #: the group that determines the size best
     ratio: float  #: size on the one over the size on the other
-    ratio_sd: float  #: standard uncertainty of the ratio
+    ratio_sd: float
     p_value: float  #: of equal sizes on all groups, corrected for the number of tests
 
     @property

@@ -56,12 +56,12 @@ class Evidence:
     judged_against: str  #: model, simulator or file of the simulated motion
     nominal: Path  #: the model alone
     noise: Noise  #: covariance of each observation
-    effects: Mapping[str, Effect]  #: the library, by id
+    effects: Mapping[str, Effect]
     search: SearchResult  #: sets of effects, with probabilities
     recalibration: Recalibration  #: calibration parameters off beside the most probable set
     held_out: HeldOut  #: the gap before and after on held-out runs
     trials: tuple[Trial, ...]  #: on routes, speeds, loads, directions and sessions held out in turn
-    where: GapLocation  #: where the gap lies
+    where: GapLocation
     #: runs driven, then runs to come, on which corrections of confounded effects are compared
     journeys: Observations | None = None
 
@@ -176,7 +176,7 @@ class Quantity:
 class Cause:
     """A named cause."""
 
-    effect: str  #: id of the effect
+    effect: str
     title: str  #: for people
     form: str  #: best-fitting form; empty where there is one only
     probability: float  #: that the effect is at work
@@ -184,8 +184,8 @@ class Cause:
     #: whitened norm beside a free recalibration (of the calibration's own parameters: without it)
     signal: float
     parameters: Mapping[str, Quantity]
-    plausible: bool = True  #: whether its size is physically plausible
-    remark: str = ""  #: a sentence on its size
+    plausible: bool = True
+    remark: str = ""
     times: float = field(default=1.0, metadata={"json": False})  #: its size over the largest plausible, at least
     settings: Mapping[str, float] = field(default_factory=dict)  #: quantities of the form not fitted linearly
     share_ci95: tuple[float, float] | None = None  #: of the share; None if not determined
@@ -214,7 +214,7 @@ class Unexplained:
 class Fix:
     """What the correction is worth."""
 
-    recommended: bool = False  #: whether to apply it
+    recommended: bool = False
     #: largest difference of confounded effects' corrections at the end; None if none are confounded
     agreement_m: float | None = None
     agreement_on: str = DRIVEN  #: ``runs driven`` or ``journeys``
@@ -236,7 +236,7 @@ class NoiseSummary:
     """The noise level, and what supports it."""
 
     dof: float = 0.0  #: from replicates
-    scales: Mapping[str, float] = field(default_factory=dict)  #: of each component
+    scales: Mapping[str, float] = field(default_factory=dict)
     supported: bool = True  #: whether the runs support a noise level
     support: str = ""  #: by what, in words; else why not
     excess: Mapping[str, float] = field(default_factory=dict)  #: channel -> noise level over the stated sigmas'
@@ -255,14 +255,14 @@ class Diagnosis(Result):
     """What a campaign's gap is, its causes, and whether their correction is recommended."""
 
     kind: VerdictKind = field(metadata={"json": "verdict"})
-    sentence: str  #: the verdict in words
+    sentence: str
     causes: tuple[Cause, ...] = ()  #: named, most probable first
     #: sets of causes that hold 95 %, most probable first, and alternatives to the first
     credible_sets: tuple[tuple[str, ...], ...] = ()
     #: confounded effects, the named one first
     groups: tuple[tuple[str, ...], ...] = field(default=(), metadata={"json": "indistinguishable"})
     undetectable: tuple[DetectionLimit, ...] = ()  #: effects not shown at typical size
-    where: GapLocation = field(default_factory=GapLocation)  #: of the gap: channels, covariates, runs, places
+    where: GapLocation = field(default_factory=GapLocation)
     closure: Closure = field(default_factory=Closure)  #: on held-out runs
     unexplained: Unexplained | None = field(default=None, metadata={"json": "rest"})
     #: of a gap explained in part, on held-out runs

@@ -44,8 +44,8 @@ class ChannelClosure:
 
     channel: Channel = field(metadata={"json": False})
     before_rms: float  #: gap of the model alone
-    after_rms: float  #: gap with the causes
-    floor_rms: float  #: noise level
+    after_rms: float
+    floor_rms: float
     #: closed share of the squares above the noise level; None for a gap below half of it
     fraction: float | None = None
 
@@ -59,8 +59,8 @@ class Closure:
     """How far the gap shrinks on held-out runs; root mean squares of end positions, else distances."""
 
     before_rms_m: float | None = None  #: gap of the model alone
-    after_rms_m: float | None = None  #: gap with the causes
-    floor_rms_m: float | None = None  #: noise level
+    after_rms_m: float | None = None
+    floor_rms_m: float | None = None
     #: removed share of error variance above the noise level, runs and channels weighed by noise; None for a gap
     #: below half of it
     fraction: float | None = None
@@ -99,7 +99,7 @@ class Improvement:
     """What the correction does on held-out runs, paired; root mean squares over the noise."""
 
     before_rms: float  #: of the model alone
-    after_rms: float  #: with the causes
+    after_rms: float
     #: of the difference, by noise and unexplained residual
     improvement_ci95: tuple[float, float]
     #: as a share of the squares above the noise, at every signal
@@ -115,7 +115,7 @@ class Improvement:
 class HeldOut:
     """Residuals on held-out runs, each shape (n_units, n_channels)."""
 
-    before: FloatArray  #: of the model alone
+    before: FloatArray
     after: FloatArray  #: of the model with the causes fitted on the other runs
     floor: FloatArray  #: standard deviation of each channel by replicates
     closure: Closure

@@ -274,7 +274,7 @@ def _implausible(diagnosis: Diagnosis) -> str:
 class PaperHeadline:
     """What the load correction achieves, here and in the paper."""
 
-    effect: str  #: the cause
+    effect: str
     sole_candidate: bool  #: whether the runs separate it from others
     paper: "Reduction"
     campaign: "Reduction"  #: root mean squares over held-out runs

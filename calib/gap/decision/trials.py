@@ -46,9 +46,9 @@ class Trial:
     """The correction on one value held out: a route, speed, load, direction or session."""
 
     left_out: str  #: what was held out
-    value: str  #: which of its values
+    value: str
     before_rms_m: float | None  #: root mean square of end positions (else distances) without it
-    after_rms_m: float | None  #: and with it
+    after_rms_m: float | None
     #: whitened squares of the model alone, with the others' correction, and as noise alone leaves
     before_square: float = field(default=0.0, metadata={"json": False})
     after_square: float = field(default=0.0, metadata={"json": False})

@@ -96,7 +96,7 @@ def on_both(share: FloatArray) -> Perturbation:
 class Form:
     """One form of an effect on one campaign: its parameters and what each of them perturbs."""
 
-    effect: str  #: id of the effect
+    effect: str
     label: str  #: which form, for example ``exponent 0.7``; empty where there is one only
     parameters: tuple[Parameter, ...]  #: the parameters that the data choose
     #: path -> one `Perturbation` a parameter, per unit of the parameter
@@ -257,7 +257,7 @@ class Proportional(Effect):
     """An effect that grows with a quantity of each observation, counted from its mean on the campaign."""
 
     parameter: ClassVar[Parameter]
-    acts_on: ClassVar[str] = "both"  #: see `acting_on`
+    acts_on: ClassVar[str] = "both"
     varies_by: ClassVar[float] = 0.0  #: what varies by no more than this is one value
 
     @abstractmethod

@@ -33,7 +33,7 @@ BY_CHANCE: Final = 0.001
 class Fitted:
     """A fitted hypothesis."""
 
-    forms: tuple[Form, ...]  #: its effects
+    forms: tuple[Form, ...]
     theta: tuple[FloatArray, ...]  #: each shape (n_parameters,), in the parameters' units
     calibration: FloatArray  #: shape (4,): relative, of left radius, right radius, track, front radius
     covariance: FloatArray  #: shape (4 + n_parameters, 4 + n_parameters): of (calibration, all theta), given the noise

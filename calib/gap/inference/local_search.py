@@ -276,10 +276,10 @@ class SearchResult:
     """What was found."""
 
     fitted: Fitted  #: the best hypothesis, a recalibration free beside it
-    base: Fitted  #: the recalibration alone
+    base: Fitted
     alone: LinearSystem  #: about its path, with every form
     system: LinearSystem  #: about the best hypothesis' path, with the best forms
-    forms: dict[str, list[Form]]  #: of each effect
+    forms: dict[str, list[Form]]
     models: tuple[tuple[str, ...], ...]  #: sets of effects, best first
     probabilities: FloatArray  #: shape (n_models,)
     alternatives: tuple[tuple[Model, float], ...]  #: best others, in forms of `system`, and odds over the best

@@ -226,7 +226,7 @@ class _WeighedModels:
     probability: FloatArray  #: shape (n_scales, n_models)
     is_noise: BoolArray  #: shape (n_scales,): scales without a lack of fit
     as_believed: float  #: probability of the calibration as believed without an effect; 1 where that is unlikely
-    current_weight: float  #: log weight of the current model
+    current_weight: float
     gains: FloatArray  #: see `weigh_subsets`
 
     @property

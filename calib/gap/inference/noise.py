@@ -90,7 +90,7 @@ class Noise:
     """Covariance of every unit, and what it rests on."""
 
     covariance: FloatArray  #: shape (n_units, 6, 6): over the channels; unit variance without one
-    scales: dict[str, float]  #: of each component
+    scales: dict[str, float]
     dof: float  #: from replicates, else 0
     weight: FloatArray  #: shape (n_units,): 1, less far from the repeats
     supported: bool = True  #: whether the runs support a noise level

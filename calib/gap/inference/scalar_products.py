@@ -156,7 +156,7 @@ class Sums:
     log_prior: FloatArray  #: shape (n_scales,): of the scale; the first: no lack of fit
     kind: IntArray  #: shape (n_scales,): number of the lack-of-fit component; -1: none
     scale: FloatArray  #: shape (n_scales,): standard deviation of the lack of fit, in noise levels of one run
-    n_rows: int  #: length of the gap
+    n_rows: int
     wide: WideSums | None = None  #: of a wide form's columns, behind the others
 
     def pick(self, scales: BoolArray | slice) -> "Sums":

@@ -25,10 +25,10 @@ class PlaceResult:
     where: str  #: ``zone`` or ``joint`` for a stretch of a route; ``turns`` or ``stops``
     channel: Channel  #: what opens there
     size: float  #: by how much, in `unit`
-    ci95: tuple[float, float]  #: interval of the size
+    ci95: tuple[float, float]
     unit: str  #: ``m``, ``rad``, or either per radian of turn
     p_value: float  #: times the number of places looked at
-    n_runs: int  #: looked at
+    n_runs: int
     what: str = ""  #: of turns and stops, what the size counts: ``per stop``
     #: of a stretch: kind of runs, and what counts its place
     route: str = ""
@@ -144,9 +144,9 @@ def _summed(steps: FloatArray | IntArray) -> FloatArray:
 class _Route:
     traces: list[Trace]
     grid: FloatArray  #: shape (n_grid,): distance from the start, or place on the ground
-    spacing_m: float  #: of the grid
+    spacing_m: float
     length_m: float
-    on_floor: bool  #: whether the grid is on the ground
+    on_floor: bool
 
     def read(self, trace: Trace, values: FloatArray) -> FloatArray:
         if self.on_floor and trace.back:

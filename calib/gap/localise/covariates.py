@@ -28,7 +28,7 @@ class CovariateResult:
     ci95: tuple[float, float] | None  #: bootstrap interval of the share
     p_value: float  #: of no dependence, times the number of channels looked at
     significant: bool  #: at a chance of 5 % of any false line in the table
-    n_units: int = 0  #: looked at
+    n_units: int = 0
 
     @property
     def channel_label(self) -> str:

@@ -30,8 +30,8 @@ class ChannelGap:
     #: root mean squares of gap and noise level, in the channel's unit
     rms: float
     floor: float
-    mean: float = 0.0  #: mean of the gap
-    n_units: int = 0  #: units with the channel
+    mean: float = 0.0
+    n_units: int = 0
 
     @property
     def ratio(self) -> float | None:
@@ -72,9 +72,9 @@ class RunDeviation:
 class GapLocation:
     """Where a gap lies."""
 
-    channels: tuple[ChannelGap, ...] = ()  #: measured ones
+    channels: tuple[ChannelGap, ...] = ()
     covariates: tuple[CovariateResult, ...] = ()  #: smallest p first
-    runs: tuple[RunDeviation, ...] = ()  #: deviating most
+    runs: tuple[RunDeviation, ...] = ()
     places: tuple[PlaceResult, ...] = ()  #: inside the runs, smallest p first
     notes: tuple[str, ...] = ()  #: what these runs cannot be asked
     rest: "GapLocation | None" = None  #: of what the named causes leave

@@ -44,7 +44,7 @@ def _nan(*shape: int) -> FloatArray:
 class Observation:
     """A run, or a window of a recording."""
 
-    run: int  #: row of the run table
+    run: int
     window: int  #: within the run, 0 for a whole one
     #: time_s, left_rad, right_rad: shape (n_steps + 1,): time since the run's start and counted wheel angles
     time_s: FloatArray
@@ -71,7 +71,7 @@ class Observation:
     #: shape (2, 3): error of headings taken from the course at start and end, a metre of the sensor's place (x, y) and
     #: a second that it reads late beyond that of a measured heading
     course_error: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
-    by_gyro: bool = False  #: whether a gyro measured its turn
+    by_gyro: bool = False
     reference: "ReferencePoses | None" = None  #: of a run, by its log
 
     @property
@@ -170,7 +170,7 @@ class CourseOverGround(ReferencePoses):
 
     by_wheels: FloatArray  #: shape (n_poses, 3): of the vehicle
     place_m: FloatArray  #: shape (2,): the sensor's place on the vehicle
-    sigma_xy_m: float  #: standard uncertainty
+    sigma_xy_m: float
     way_m: float  #: of a course
     velocity_mps: ComplexArray  #: shape (n_poses,): of the vehicle by its wheels, x + i y
     turn_rate_rad_per_s: FloatArray  #: shape (n_poses,): by the wheels

@@ -292,7 +292,7 @@ class Task:
 
     of: Callable[[Sequence[Sequence[int]]], FloatArray]  #: sets of runs -> shape (n_sets, n)
     names: Sequence[str]  #: shape (n,): pairs of confounded effects in words, or effects of the library
-    tied: bool  #: whether pairs
+    tied: bool
 
     def told(self, chosen: Sequence[int]) -> tuple[int, int]:
         """Return how many are told apart, and how many surely."""

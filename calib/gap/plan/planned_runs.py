@@ -146,7 +146,7 @@ class Measured:
     heading: bool = True  #: by reference at the end
     front: bool = False  #: counts and steering angle, in the log
     log: bool = True
-    gyro: bool = False  #: turn by a gyro
+    gyro: bool = False
     beside: bool = True  #: position and heading on corridors, too
 
 

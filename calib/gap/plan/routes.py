@@ -48,7 +48,7 @@ class Dimensions:
     scale: float = 1.0  #: of other routes, at least
     reach_m: float = np.inf  #: to which they lead up to their usual size
     least_radius_m: float = 0.0  #: of a turn
-    speeds_mps: tuple[float, float] = (0.3, 0.7)  #: slow and fast
+    speeds_mps: tuple[float, float] = (0.3, 0.7)
 
     def of(self, kind: str, segments: Sequence[Segment]) -> Route:
         """Return the route of a kind in its size; `segments`: lengths (m) and turns (rad) at the usual size."""

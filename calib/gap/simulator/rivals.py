@@ -34,9 +34,9 @@ MOVED: Final = 0.1
 class Rival:
     """Causes that explain the gap by themselves: parameters that were run, or the first verdict's."""
 
-    names: frozenset[str]  #: ids of the causes
+    names: frozenset[str]
     score: float  #: squares left, and log n a parameter (Schwarz, Annals of Statistics 6, 1978)
-    named: Mapping[str, Declared]  #: the parameters by cause
+    named: Mapping[str, Declared]
     fix: SimulatorFix | None  #: None of a verdict with effects of the library
 
 

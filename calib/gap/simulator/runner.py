@@ -39,7 +39,7 @@ class Job:
     """One run of the simulator."""
 
     parameters: dict[str, float]
-    what: str  #: as an error names it
+    what: str
     repeat: int = 0  #: among runs with the same parameters
 
 
@@ -51,13 +51,13 @@ class _Stopped(Exception):
 class SimulatorRunner:
     """Runs a simulator on a campaign, at most `workers` at once; kept results are not run again."""
 
-    settings: SimulatorSettings  #: the command
-    campaign: Path  #: folder of the campaign
-    run_ids: Sequence[str]  #: to simulate
-    cache: RunCache  #: of results
-    workers: int  #: runs at once
+    settings: SimulatorSettings
+    campaign: Path
+    run_ids: Sequence[str]
+    cache: RunCache
+    workers: int
     progress: Progress  #: see `calib.types.Progress`
-    asked: int = 0  #: runs asked for
+    asked: int = 0
     ran: int = 0  #: of these, not kept already
     seconds: list[float] = field(default_factory=list)  #: wall time of each run
     _stop: threading.Event = field(default_factory=threading.Event)
@@ -205,7 +205,7 @@ SAME_DISTANCE_M: Final = 1e-3
 class Differences:
     """A simulator about its nominal parameters, as (distance, x, y, heading)."""
 
-    runner: SimulatorRunner  #: what ran it
+    runner: SimulatorRunner
     nominal: FloatArray  #: shape (n_runs, 4): NaN if not predicted
     change: Mapping[str, FloatArray]  #: by parameter, shape (n_runs, 4): per unit, 0 if not predicted
     size: Mapping[str, float]  #: by parameter: deviation over which it was taken

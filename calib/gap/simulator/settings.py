@@ -64,7 +64,7 @@ class SimulatorSettings(BaseModel):
 
     #: arguments with `PLACES`; no shell
     command: Annotated[tuple[Annotated[str, Field(min_length=1)], ...], Field(min_length=1)]
-    timeout_s: PositiveFloat = 600.0  #: of one run
+    timeout_s: PositiveFloat = 600.0
     inputs: tuple[str, ...] = ()  #: further files, beside this, that results depend on
     parameters: Annotated[tuple[Declared, ...], Field(min_length=1, max_length=MOST_PARAMETERS, alias="parameter")]
     _path: Path = PrivateAttr()

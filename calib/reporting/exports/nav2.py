@@ -297,7 +297,7 @@ class MotionNoise:
     """The noise of the corrected odometry on held-out runs."""
 
     n_runs: int
-    length_m: float  #: median of the runs
+    length_m: float
     turn_rad: float  #: median of their total absolute rotation
     alphas: dict[str, float]
     undetermined: tuple[str, ...]  #: alphas and walks that are bounds or defaults
