@@ -73,7 +73,6 @@ def keep(path: Path, data: bytes) -> None:
 def trim_cache(folder: Path, most_bytes: int = MOST_BYTES) -> None:
     """Remove the oldest files of a cache until it has at most `most_bytes`."""
     files = sorted((state[2], state[1], path) for path in folder.glob("*/*") if (state := _state(path)))
-    # of each file and all newer ones
     totals = np.cumsum([size for _, size, _ in files[::-1]])[::-1]
     for (_, _, path), total in zip(files, totals, strict=True):
         if total > most_bytes:

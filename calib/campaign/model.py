@@ -286,7 +286,6 @@ class Logs:
         if np.array_equal(index, np.arange(len(self.lengths))):
             return self
         offsets = np.concatenate(([0], np.cumsum(self.lengths[index]))).astype(np.int64)
-        # neighbouring runs are copied together
         parts = np.split(index, np.flatnonzero(np.diff(index) != 1) + 1)
         ends = [(runs[0], runs[-1] + 1) for runs in parts if len(runs)]
         stretches = [slice(int(self.offsets[first]), int(self.offsets[end])) for first, end in ends]

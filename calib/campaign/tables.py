@@ -99,7 +99,6 @@ def _summaries(labels: Mapping[str, StrArray], columns: Mapping[str, FloatArray]
     found = {row: "a summary" for row in np.flatnonzero(used).tolist() if SUMMARY.fullmatch(run_id[row])}
     table = np.stack([columns.get(name, np.full(len(used), np.nan)) for name in NUMERIC_COLUMNS], axis=1)
     form = [re.sub(r"\d+", "0", name) for name in map(str, run_id)]
-    # the others are named as runs are
     looked_at = np.asarray(form) != Counter(form).most_common(1)[0][0]
     looked_at[-1] = True
     for row in np.flatnonzero(used & looked_at).tolist():

@@ -243,7 +243,6 @@ def _heed_date() -> None:
 def _reopen() -> None:
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
-            # open for as long as the program runs
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8"))
 
 

@@ -238,7 +238,6 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
         def tick(done: int, total: int, stage: str) -> None:
             _heed()
             if stage != at[0]:
-                # one line, which says the stage at work
                 at[0] = stage
                 bar.reset(task, description=f"{what}: {stage}", total=total or None, completed=done)
             bar.update(task, completed=done, total=total or None)

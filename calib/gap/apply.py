@@ -112,7 +112,6 @@ def on_vehicle(file: CoefficientFile, diagnosis: Diagnosis, campaign: Campaign) 
     """Return what a vehicle, which lacks the effects, has of a written model, and what to do there."""
     left_out, *notes = effects_left_out(file, "not in a vehicle's runtime, ros2, c and csv")
     seen = diagnosis.observations
-    # a fault of counts is corrected in these
     every = [section for section in file.effects if section.effect != EncoderBlunder.id]
     instruments = [section for section in every if section.effect.startswith(OF_INSTRUMENTS)]
     written, ends = believed_model(file, seen.model.reference_load_N), []

@@ -274,7 +274,6 @@ def _lone_run(situation: Situation) -> dict[str, float]:
     run, kind = int(np.argmax(squares)), observations.labels["kind"]
     if whole.chi_square <= most_square(int(rows.sum())) or (kind == kind[run]).sum() < 2:
         return {}
-    # so uncertain that it weighs nothing
     weight = np.where(np.arange(len(rows)) == run, 1e12, 1.0)[:, None, None]
     others = recalibrate(nominal, replace(noise, covariance=noise.covariance * weight))
     if others.chi_square > most_square(int(rows.sum() - rows[run])):
@@ -326,7 +325,6 @@ def _searched(
     passes = count(1)
 
     def passed() -> None:
-        # the data decide how many passes it takes
         progress(next(passes), 0, "search of causes")
 
     noise = estimate_noise(nominal, residuals(nominal, nominal))

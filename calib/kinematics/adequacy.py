@@ -327,7 +327,6 @@ def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[
             "as the wheels turn; is an axis of the reference mirrored, or are x and y exchanged?"
         )
         return
-    # of these instead of the longest
     own = left_within(solution, free, replace(segments, level=(~used).astype(np.int64)), fitted.model.recording.run_id)
     left, small = (rms(rest[:, :2]), rms(rest[:, 2:])), (way_m, max(rotation_rad, LEAST_ROTATION_RAD))
     if any(one > max(LACK_OF_FIT * by, SMALL_SHARE * of) for one, by, of in zip(left, own, small, strict=True)):

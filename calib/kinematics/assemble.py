@@ -99,7 +99,6 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         n_segments=len(model.segments),
         estimates=estimates,
         covariance=covariance,
-        # of all free parameters
         freedom=fitted.uncertainty.freedom if len(estimates) == parameters.free.sum() else None,
         undetermined=fitted.undetermined,
         held={name: float(value) for name, value in zip(parameters.names, values, strict=True) if name not in stated},

@@ -112,7 +112,6 @@ def find_blunder(
             continue
         trial = tried(reading.change, reading.setting)
         if trial.plausible and trial.share >= enough:
-            # beside a sensor that is turned a little
             trial = tried(reading.change, reading.setting, MOUNTED)
         if not trial.plausible or trial.share >= enough:
             continue

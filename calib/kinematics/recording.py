@@ -302,7 +302,6 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_ma
         return "nothing says where it ended: no ref_ columns, and no distance_m of a straight run"
     if steer is not None:
         steer = steer[keep]
-        # in the middle of each step
         steer = np.concatenate([steer[:1], 0.5 * (steer[1:] + steer[:-1])])
     t_s = log["t_s"][keep]
     speed = smoothed_speed_mps(np.cumsum(turned[0]) * campaign.vehicle.wheel_radius_m, t_s)

@@ -260,7 +260,6 @@ class Geometry(Result):
         return self._derived("track over mean radius", {"track_m": 1.0}, {"radius_left_m": 0.5, "radius_right_m": 0.5})
 
     def _derived(self, name: str, over: Mapping[str, float], under: Mapping[str, float]) -> Estimate:
-        # value and nominal value of each side
         over_at, under_at = (
             [sum(weight * getattr(self[part], kind) for part, weight in side.items()) for kind in ("value", "nominal")]
             for side in (over, under)

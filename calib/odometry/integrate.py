@@ -144,7 +144,6 @@ def _machine_code() -> Callable[..., None]:
     try:
         loop: Any = numba.njit(nogil=True, cache=True, error_model="numpy")(_loop)
     except RuntimeError:
-        # nowhere to keep it
         loop = numba.njit(nogil=True, error_model="numpy")(_loop)
     return loop  # type: ignore[no-any-return]
 

@@ -205,7 +205,6 @@ def law_path(
         by_wheel = _by_wheel(law, frame[-1] @ slopes[-1], spread)
         widths = _half_widths(by_wheel, {name: float(part[-1]) for name, part in std.items()})
         variance, dof = by_wheel[0][3:], by_wheel[1][3:]
-        # of the larger of x and y
         dofs = dof[np.argmax(variance, axis=0), range(variance.shape[1])]
         errors = posing.pose_errors(poses, reference)
         driven.append(Driven(poses, errors, systematic, random, std, widths, variance.sum(axis=0), dofs))
@@ -331,7 +330,6 @@ def law_journey(
         errors = posing.pose_errors(end_of_route(route, axle, scattered), end)
         centre = posing.pose_errors(end_of_route(route, axle, real), end)
         slopes = _end_jacobian(route, axle, real, float(end.theta_rad)) @ root
-        # shape (5, n), of each scale
         slopes = np.stack([np.linalg.norm(slopes[:, of_scale == n], axis=1) for n in range(len(dof))], axis=1)
         distance[name] = errors.distance_m
         # squared distance expected at the fit's scatter, and at each draw's

@@ -221,7 +221,6 @@ def report_without_law(
     stated = stated_of(campaign)
     reason = Notice("note", "These runs give no radius law", capital(prose(why.rstrip("."))) + ".")
     found = [] if diagnosis is None else [page_one_notice(diagnosis)]
-    # a diagnosis alone begins with its verdict
     result = [Section("Result", (*found, reason))]
     if geometry is not None:
         result = geometry_sections(geometry, found, withheld=coefficients is None)

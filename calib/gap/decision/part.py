@@ -202,7 +202,6 @@ def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Qu
     free = np.flatnonzero(np.abs(values) > ROUNDING)
     if not causes or not len(free):
         return {}
-    # what the fit held is known
     inverse = np.linalg.inv(covariance)
     sd = np.sqrt(np.diag(np.linalg.inv(inverse[np.ix_(free, free)])))
     more = half_of_steps(causes, [name for name, _ in session_steps(evidence.observations)])
@@ -215,7 +214,6 @@ def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Qu
 
 def is_named_beside(cause: Cause, fix: Fix, found: Finding) -> bool:
     """Return whether a cause stays named beside a part's fix; `Fix.leaves` tells what doubtful ones are."""
-    # what steps is excluded for what it is
     kept = fix.corrects is None or cause.effect in fix.corrects or effect_class(cause.effect).per_session
     return kept or found.probability(cause) >= CERTAIN_PROBABILITY
 

@@ -158,7 +158,6 @@ def _unidentified(diagnosis: Diagnosis) -> int:
 
 
 def _listed(causes: Sequence[Cause]) -> str:
-    # a blunder's label says what to do
     labels = (f"{cause.effect}: {cause.form}" if isinf(cause.signal) else _with_forms(cause) for cause in causes)
     return joined((f"{cause.title} ({label})" for cause, label in zip(causes, labels, strict=True)), "and")
 

@@ -114,7 +114,6 @@ class Declared(_OfColumn):
         super().__init__(entry.id, entry.title or "", entry.column, "[[effects]] of campaign.toml")
         self.acts_on = entry.acts_on  # type: ignore[misc]
         self.columns = (entry.column,)  # type: ignore[misc]
-        # what another zero looks like
         unit, self.shifts = ACTS_ON[entry.acts_on]  # type: ignore[misc]
         unit = f"{unit} per {entry.column}"
         self.parameter = Parameter("size", unit, entry.typical, entry.largest)  # type: ignore[misc]

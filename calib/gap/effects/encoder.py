@@ -51,7 +51,6 @@ class WheelEccentricity(Effect):
                 }
             return [perturbation for side in sides for perturbation in kept[path][side]]
 
-        # in proportion to the wheel
         typical = 2e-4 * min(1.0, mean_radius_m(observations) / PAPER_RADIUS_M)
 
         def form(label: str, sides: Sequence[str]) -> Form:

@@ -163,7 +163,6 @@ def end_motion(observations: Observations, *, at_start: bool = False) -> tuple[F
 
 
 def _motion_at(observations: Observations, age: FloatArray, edge: IntArray) -> tuple[FloatArray, FloatArray]:
-    # age: time from the edge to each step, s
     with np.errstate(invalid="ignore"):
         late, early = age < END_STRETCH_S, (age >= END_STRETCH_S) & (age < 2 * END_STRETCH_S)
     late[edge] = True

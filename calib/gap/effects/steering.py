@@ -142,7 +142,6 @@ class SteeringScale(Effect):
     family = Family.STEERING
     needs = "the front wheel in the log, turned"
     separates = "several steering angles"
-    # as of a track
     wrong_beyond = 0.3
 
     def forms(self, observations: Observations) -> list[Form]:

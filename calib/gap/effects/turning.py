@@ -231,7 +231,6 @@ class DriveSlip(Effect):
         """See `Effect`."""
         if not has_front(observations).any():
             return []
-        # in the sense of rolling
         acceleration = rate_per_s(observations, np.abs(observations.speed_mps), 2)
         speeding = np.maximum(acceleration, 0.0)
         front = front_travel_m(observations)

@@ -62,7 +62,6 @@ class Fitted:
                 turned[[0, 1], [place.start, place.start + 1]] = form.end.mean - form.centre.mean
         calibration = turned[:4] @ np.concatenate([self.calibration, *self.theta])
         forms = tuple(form.centred_at(form.end) for form in self.forms)
-        # relative to the radii there
         theta = tuple(size.copy() for size in self.theta)
         for form, size in zip(self.forms, theta, strict=True):
             if form.end is not None:

@@ -173,6 +173,5 @@ class WhitenedSystem:
             wanted = [form, *(other for other in self._offered if id(other) not in self._columns and other is not form)]
             self._offered = ()
             for other, columns in zip(wanted, fitting.signature_columns(self.path, wanted), strict=True):
-                # with its form, whose id stays its own
                 self._columns[id(other)] = other, fitting.whitened_rows(self.path, self.noise, columns)
         return self._columns[id(form)][1]

@@ -86,7 +86,6 @@ def search(
     converge = partial(_converge, all_forms=all_forms, passed=passed)
     begin = _begin_at(start, initial)
     local, fitted = converge(
-        # unnamed, to be freed
         copy(initial) if begin is base else LocalSearch(LinearSystem(begin, nominal, noise, all_forms))
     )
     if begin is base and _near((local, fitted), base) is None:
@@ -183,7 +182,6 @@ def continuation_start(system: LinearSystem) -> Fitted:
             ]
             least = min((trial.chi_square for trial in second), default=0.0)
             trials: list[Fitted] = []
-            # the best first
             for one, two in sorted(zip(first, second, strict=True), key=lambda pair: pair[1].chi_square):
                 if two.chi_square <= _HOPELESS * least:
                     ended = _settled(two.chi_square, one.chi_square) or (
@@ -260,7 +258,6 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
         over_free[n] = subsets.over_free
         if not models[n]:
             as_believed = float(subsets.probabilities[SUBSETS.index(())])
-    # others as the neediest of the likely
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
     current_weight = float(np.logaddexp.reduce(weight[:, models.index(local.current)]))
@@ -323,7 +320,6 @@ def _converge(
             break
         if number < _MAX_PASSES - 1:
             nominal, noise = local.system.nominal, local.system.noise
-            # makes room
             del before, local
             local = LocalSearch(LinearSystem(fitted, nominal, noise, all_forms))
     return local, fitted

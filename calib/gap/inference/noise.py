@@ -224,7 +224,6 @@ def window_growth(path: Path) -> tuple[FloatArray, FloatArray] | None:
     length, square = np.array(lengths), np.array(squares)
     times = length / length[0]
     laws = np.stack([np.ones(len(times)), times, times**2], axis=1)
-    # by relative uncertainty
     weight = 1.0 / (np.maximum(square, 1e-300) * np.sqrt(times))
     return length, np.asarray(nnls(laws * weight[:, None], square * weight)[0])
 

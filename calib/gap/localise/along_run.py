@@ -130,7 +130,6 @@ def _trace(
         along, turned = np.abs(log["range_m"] - log["range_m"][0]) - np.abs(x), np.full(len(x), np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
         moving = np.flatnonzero(np.nan_to_num(np.abs(step) / np.diff(log["t_s"])) > MOVING_MPS)
-    # a stop is a gap between moving steps
     stops = _summed(np.bincount(moving[:-1][np.diff(moving) > 1] + 1, minlength=len(step)))
     since_start = log["t_s"] - log["t_s"][0]
     return Trace(*label, _summed(np.abs(step)), heading, x, y, along, turned, stops, since_start)
@@ -228,7 +227,6 @@ def _sizes(route: _Route, gaps: FloatArray) -> tuple[FloatArray, FloatArray, Int
     grid = route.grid
     starts, ends = _stretches(len(grid))
     ramp = np.clip((grid[None, :] - grid[starts][:, None]) / (grid[ends] - grid[starts])[:, None], 0.0, 1.0)
-    # turns are asked apart
     turned = np.stack([route.read(trace, trace.turn_rad) for trace in route.traces]).mean(axis=0)
     trend = [np.ones_like(grid), grid - grid.mean()]
     if np.ptp(turned) > MIN_TURN_RAD:

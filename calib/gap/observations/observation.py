@@ -184,7 +184,6 @@ class CourseOverGround(ReferencePoses):
         first = int(np.searchsorted(self.travelled_m, here - 0.5 * self.way_m, side="right")) - 1
         last = int(np.searchsorted(self.travelled_m, here + 0.5 * self.way_m))
         first, last = max(first, 0), min(last, len(self.travelled_m) - 1)
-        # at the run's ends on one side
         if first == 0:
             last = max(last, min(int(np.searchsorted(self.travelled_m, self.way_m)), len(self.travelled_m) - 1))
         if last == len(self.travelled_m) - 1:
@@ -227,7 +226,6 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     heading = log.get("ref_theta_rad")
     if heading is not None:
         with_heading = there & np.isfinite(heading[all_rows])
-        # two whole poses do, start and end
         whole = with_heading.sum() >= min(MIN_POSES, max(2, there.sum()))
         heading, there = (heading, with_heading) if whole else (None, there)
     if len(rows := all_rows[there]) < (MIN_POSES if heading is None else 2):

@@ -274,7 +274,6 @@ class _Limits:
             norms = np.sqrt((columns**2).sum(axis=0))
             moves = moves or bool(norms.any())
             for parameter, signal, norm in zip(form.parameters, signals, norms, strict=True):
-                # of two alike but for rounding, the first
                 if signal > ABSORBED_SHARE * max(norm, 1e-12) and DETECTION_SIGNAL / signal < limit * (1.0 - 1e-9):
                     limit, best = DETECTION_SIGNAL / float(signal), parameter
         if best is None:
@@ -314,7 +313,6 @@ class Task:
         """Return what a run tells apart or shows, or begins to where the next go on to distances `told`."""
         gains, parts = self.gains(before, after), list[str]()
         if not self.tied:
-            # what the runs before did not show
             new = [k for k in gains if before[k] < SEPARATION_SD]
             clear = [k for k in new if after[k] >= SEPARATION_SD]
             shown = f"shows {', '.join(self.names[k] for k in clear or new or gains)}{' better' * (not clear)}"

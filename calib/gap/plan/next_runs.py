@@ -88,7 +88,6 @@ def next_runs(
         chosen.append(numbers[best])
         left.remove(numbers[best])
     later = law[: min(1, most + 1 - len(chosen))] if task.tied and not set(law).intersection(chosen) else []
-    # what tells nothing more is not driven
     kept = {*first, 0} if later or set(first.values()) & {_OF_LAW, _BOTH_WAYS} else {*first}
     chosen, beside = _needed(task, chosen, kept, most - len(later) * (most != 2))
     later = later[: most - len(chosen)]
@@ -98,7 +97,6 @@ def next_runs(
         why += _ONE_MORE * bool(beside and n == chosen[0])
         proposed.append(replace(runs[n], why=why, distance=float(after.min()) if task.tied else None))
     proposed += [replace(runs[n], why=_OF_LAW) for n in later]
-    # what tells nothing by itself comes last
     runs = sorted(proposed, key=lambda run: run.why == _BESIDE)
     return [_stated(run, dimensions, by_laser=measured.distance) for run in runs]
 

@@ -316,7 +316,6 @@ def demonstration() -> Campaign:
 
 def _demonstrated(number: int) -> PlannedRun:
     lap, (kind, direction) = number // len(ROUTES), ROUTES[number % len(ROUTES)]
-    # a shorter lane on every other lap
     kind += "_short" if kind == "corridor" and lap % 2 else ""
     return PlannedRun(
         kind, direction, SESSIONS[lap // 2], *PAYLOADS[(number + lap) % len(PAYLOADS)],

@@ -143,7 +143,6 @@ def _told_by_runs(
         if names == best.names:
             return as_rivals(again, rivals), iterated(again, through, best.fix)
         if names and names < best.names:
-            # fewer close the gap
             return again, iterated(again, through)
         if not (others := sorted(names - best.names)):
             break
@@ -154,7 +153,6 @@ def _told_by_runs(
 def _simulated_observations(measured: Observations, differences: Differences) -> Observations:
     simulated = np.full((len(measured), N_CHANNELS), np.nan)
     simulated[:, :4] = differences.nominal[differences.rows(measured)]
-    # but for whole turns of a heading
     simulated[:, 3] += 2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
     usable = measured.usable & np.isfinite(simulated)
     axis = differences.axis

@@ -271,7 +271,6 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
         value, unit = values[each.name], "" if each.unit in ("", "1") else f" {each.unit}"
         off = each.nominal - value
         way = "large" if off > 0.0 else "small"
-        # a share of the right value, of lengths
         in_percent = min(value, each.nominal) > 0.0 and abs(off) < 0.5 * value
         size = f"{100 * abs(off) / value:.2g} %" if in_percent else f"{abs(off):.3g}{unit}"
         parts.append(f"{each.name} of your simulator is {size} too {way}: set it to {value:.6g}{unit}")
@@ -285,13 +284,9 @@ def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
     ):
         return diagnosis
     named = _of_library(diagnosis)
-    if _share_together(diagnosis) > ADEQUATE_CLOSURE:
-        beside = f", as {named} can" if diagnosis.causes else ""
-        why = f"No single parameter of your simulator can do this; several together can{beside}."
-    else:
-        able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
-        can = f"; {named} of the library {able}" if diagnosis.causes else ""
-        why = f"No parameter of your simulator can do this{can}.{_forbidden(diagnosis)}"
+    able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
+    can = f"; {named} of the library {able}" if diagnosis.causes else ""
+    why = f"No parameter of your simulator can do this{can}.{_forbidden(diagnosis)}"
     return replace(diagnosis, sentence=f"{diagnosis.sentence} {why}")
 
 
@@ -312,14 +307,6 @@ def square_left(columns: FloatArray, gap: FloatArray, sign: IntArray) -> float:
     sizes = np.linalg.solve(columns.T @ columns + 1e-9 * np.eye(len(sign)), columns.T @ gap)
     possible = (np.abs(sizes) < 1.0).all() and (sizes * sign >= 0.0).all()
     return float(((gap - columns @ sizes) ** 2).sum()) if possible else np.inf
-
-
-def _share_together(diagnosis: Diagnosis) -> float:
-    forms, sign, a, r = scaled_signatures(diagnosis)
-    if not forms or not r.any():
-        return 0.0
-    left = left_by(a, r, sign)
-    return 1.0 - float(left @ left) / float(r @ r)
 
 
 def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:

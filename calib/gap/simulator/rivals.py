@@ -64,7 +64,6 @@ def rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFi
             continue
         run.append(rival(some, fix))
         if added := some.keys() - run[0].named.keys():
-            # both may be at work
             whole = {**run[0].named, **{name: some[name] for name in added}}
             run.append(rival(whole, run_alone(diagnosis, differences, whole, limit=PROMISED * limit)))
     if run and len(named) < len(verdict):
@@ -73,7 +72,6 @@ def rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFi
     run.sort(key=lambda each: each.score)
     kept: list[Rival] = []
     for each in run:
-        # none that adds to a more probable one
         if each.score <= run[0].score + WINDOW and not any(better.names <= each.names for better in kept):
             kept.append(each)
     return kept

@@ -225,7 +225,6 @@ class Differences:
         wheels = WheelMotion(nominal, self.scatter[rows] * np.sqrt(2.0 / self.repeats))
         carried = {}
         for each in parameters:
-            # a run met is on one side
             both_ways = self.repeats > 1 and not each.parameter.sign and each.name not in self.met
             size = self.size[each.name]
             carried[each.name] = wheels.carried(self.change[each.name][rows] * size, size, both_ways=both_ways)

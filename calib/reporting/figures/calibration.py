@@ -123,7 +123,6 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
     """Draw the weave's excess by amplitude and wavelength (Fig. 9), and each run's correction."""
     figure = canvas(7.6)
     chart, strip = axes_grid(figure, 1, 2, width_ratios=(1.15, 1.0))[0]
-    # NaN is above nothing
     known = (radii.amplitude_m > 0) & (radii.wavelength_m > 0)
     amplitude, wavelength = radii.amplitude_m[known], radii.wavelength_m[known]
     low, high = 1e-3, 1.0

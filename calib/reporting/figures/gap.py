@@ -89,7 +89,6 @@ def gap_map(paths_m: Sequence[FloatArray], offset_m: FloatArray, group: StrArray
     tips = np.add(ends, factor * np.where(known.reshape(-1, 1), offset_m, 0.0))
     low, high = np.minimum(low, tips.min(axis=0)), np.maximum(high, tips.max(axis=0))
     margin = 0.04 * float(max(np.max(high - low), 1e-3))
-    # a long corridor is flat
     aspect = float((high[1] - low[1] + 2 * margin) / (high[0] - low[0] + 2 * margin))
     stretched = aspect < 0.12
     figure = style.canvas(float(np.clip(2.6 + 0.86 * style.WIDTH_CM * aspect, 6.0, MAP_HEIGHT_CM)))
@@ -177,7 +176,6 @@ def before_after(
         axis.axhline(0.0, color=GREY, lw=0.6)
         for place, (values, tint) in enumerate(((before[:, k], style.ORANGE), (after[:, k], style.BLUE))):
             gaps = factor * values[np.isfinite(values)]
-            # side by side, not by chance
             aside = 0.26 * (2 * ((np.arange(len(gaps)) * 0.6180339887498949) % 1.0) - 1)
             axis.plot(
                 place + aside, gaps, "o", ms=2.2, mew=0, color=tint, alpha=0.55, rasterized=len(gaps) > style.MANY

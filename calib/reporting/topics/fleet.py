@@ -26,7 +26,6 @@ def fleet_content(fleet: Fleet | Survey, *, page: bool = False) -> tuple[Block, 
 
     For a page with pictures, and without what was done now: interruptions change nothing.
     """
-    # a page has a mark of its own
     mark = (blocks.simulated_notice(),) if fleet.simulated and not page else ()
     return (*mark, *(_of_survey(fleet, page=page) if isinstance(fleet, Survey) else _of_fit(fleet, page=page)))
 
