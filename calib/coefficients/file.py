@@ -203,7 +203,6 @@ class CoefficientFile(Section):
 
         own, theirs, encoder = self.geometry, campaign.vehicle, campaign.encoder
         found = []
-        # a skid-steered vehicle drives like a differential one
         if own.drive != theirs.drive and {own.drive, theirs.drive} != {"differential", "skid"}:
             found.append(f"drive {own.drive} (not {theirs.drive})")
         # a front wheel with counts of its own needs none of the rear wheels

@@ -119,7 +119,6 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
 
     `folder`, `workers`, `scheduler`: see `members_of` and `engine`; `into`: result folder, which keeps what was read.
     """
-    # workers start while this process lists files
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
         parts = {part.name: part for member in members for part in member.parts}

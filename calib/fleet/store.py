@@ -280,7 +280,6 @@ def _lines(folder: Path) -> Iterator[str]:
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_symlink():
-            # targets within the folder have lines of their own
             yield f"{name} -> {path.readlink()}\n"
         elif path.is_file():
             yield f"{name} {sha256_file(path)}\n"

@@ -119,7 +119,6 @@ def on_vehicle(file: CoefficientFile, diagnosis: Diagnosis, campaign: Campaign) 
         bare = replace(seen, model=model, simulated=np.full_like(seen.simulated, np.nan))
         path = predict(with_effects(bare, effects, campaign.extra.get("effects", ()))[0])
         ends.append(end_rms_m(measured_gap(path, path), seen) or 0.0)
-    # an outside simulator's motion is no odometry's
     if ends[0] and diagnosis.judged_against != BY_SIMULATOR:
         sizes = "{:.3g} m by the model before, {:.3g} m by radii and track of the file alone, {:.3g} m with its effects"
         other = "" if seen.by_front else ", or apply the effects by calib.runtime.Effects"

@@ -122,7 +122,6 @@ def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(Non
     for _ in range(10):
         slope = np.linalg.solve((turned * weights) @ turned.T, (turned * weights) @ heading)
         residuals = heading - slope @ turned
-        # the two slopes fit as many of the residuals
         spread = 1.483 * float(np.median(np.abs(residuals))) * float(np.sqrt(len(heading) / dof)) + 1e-9
         weights = 1.0 / (1.0 + np.square(residuals / (3.0 * spread)))
     std = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
@@ -375,7 +374,6 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
 
 
 def _nominal(recording: "Recording", segments: "Segments", drive: "Drive") -> "tuple[Model, FloatArray]":
-    # what only reads a steering angle needs no model
     from calib.kinematics.drives import nominal_values
     from calib.kinematics.model import Model
 

@@ -353,7 +353,6 @@ def with_own_zeros(fitted: Fitted) -> Fitted:
 
 def _shared(fitted: Fitted, solution: Solution, group: IntArray, spread: float, deviation: FloatArray) -> Shared:
     zero, scale = map(fitted.parameters.names.index, (STEERING_ZERO, STEERING_SCALE))
-    # a deviation is added to the angle before its scale
     by_zero = solution.prediction.jacobian[:, :, zero] * solution.values[scale]
     change = np.einsum("nij,nj->ni", solution.whitener, by_zero * spread)
     return Shared(group[fitted.model.segments.run], change * np.sqrt(solution.weights)[:, None], deviation / spread)

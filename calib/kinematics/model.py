@@ -272,7 +272,6 @@ def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, hi
 
 def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     lever, back, turned = place[0] + 1j * place[1], np.exp(-1j * place[2]), np.exp(1j * moved[:, 2])
-    # forward and to the left as one complex number
     seen = back * (moved[:, 0] + 1j * moved[:, 1] + (turned - 1.0) * lever)
     by_motion = derivative[:, 0] + 1j * derivative[:, 1] + (1j * turned * lever)[:, None] * derivative[:, 2]
     by_lever = back * (turned - 1.0)

@@ -370,7 +370,6 @@ def factor_faults(
 
 def _speed_factors(speeds: Sequence[str], *, turns: bool) -> dict[float, str]:
     times, lengths = "t_s in ms taken for s", f"{speeds[0]} in mm/s taken for m/s"
-    # a yaw rate, not in m/s, is off with the times alone
     what = f"{times}, or {lengths}" if TWIST not in speeds else times if turns else lengths
     return {1e-3: f"a thousandth: {what}", 1.0 / 3.6: f"1 / 3.6 times: {speeds[0]} in km/h taken for m/s"}
 

@@ -293,7 +293,6 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, stated: Flo
         size, trace = size + STATED_READINGS * stated / now**2, trace + STATED_READINGS / now
         quotient = size / np.where(trace > 0.0, trace, 1.0)
         moved = np.maximum(now * np.clip(quotient, 0.05, 20.0) ** POWER, LEAST * stated)
-        # what adds nothing to the log likelihood stays
         gains = 0.5 * np.abs(now * (size - trace) * np.log(moved / now)) >= steady
         scales = np.where(gains, moved, now)
         if not gains.any():

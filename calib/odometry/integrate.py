@@ -106,7 +106,6 @@ def _shorten(path: FloatArray, turn: FloatArray, square: FloatArray, work: Float
 def _running(steps: FloatArray, begins: IntArray, start: FloatArray, out: FloatArray) -> None:
     if len(begins) > 1:
         ends = start + np.add.reduceat(steps, begins)
-        # from the end of the run before to its own start
         steps[begins[1:]] += start[1:] - ends[:-1]
     steps[0] += start[0]
     if len(steps) % _ROW == 0:

@@ -213,7 +213,6 @@ def jacobian(
     turn_left, turn_right = path.left_m / path.radius_left_m, path.right_m / path.radius_right_m
     offset_left, offset_right = floats(load_offset_left_N), floats(load_offset_right_N)
     track = path.track_m
-    # by radius and slope of either wheel, and the track
     parts = [
         (0.5 * turned * times, sign * turned * times / track)
         for sign, turned, offset in ((-1.0, turn_left, offset_left), (1.0, turn_right, offset_right))
@@ -268,7 +267,6 @@ class RandomWalk:
         covariance = np.zeros((*path.left_m.shape, 3, 3))
         for size, sign in ((left, -1.0), (right, 1.0)):
             turn = sign * size / track
-            # at the start it turns all that follows, too
             end = np.stack([0.5 * size * np.cos(theta), 0.5 * size * np.sin(theta), turn], axis=-1)
             first, turned = size[..., :1], turn[..., :1]
             along = 0.5 * first * np.cos(start) - path.poses.y_m * turned

@@ -226,7 +226,6 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str]) -> lis
         dealt = [values[number % len(values)] for number in range(n_conditions)]
         return [dealt[number] for number in rng.permutation(n_conditions)]
 
-    # half go along the corridor, the others turn
     half = n_conditions // 2
     route = ["corridor"] * half + [_TURNING[number % len(_TURNING)] for number in range(n_conditions - half)]
     if "lanes" in need:

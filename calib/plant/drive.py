@@ -170,7 +170,6 @@ class _Runs:
         kappa = kappa - self.gain_offset * lateral - self.gain_heading * heading
         wanted = _within(np.arctan(self.wheelbase_m * kappa), _STEER_MAX_RAD)
         change = _within((wanted - self.steering) / _STEER_LAG_S, _STEER_RATE_RADPS) * self.step_s
-        # read at the end of a step, rolled at the middle angle
         rolling = self.steering + 0.5 * change
         self.steering = self.steering + change
         self.past.add(self.steering)

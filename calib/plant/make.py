@@ -145,7 +145,6 @@ def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: F
         scale = np.array([noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad])[:, None, None]
         read = poses + scale * rng.standard_normal(poses.shape)
         read[:, 0] = 0.0
-        # the end pose is the trace's own last reading
         read[:, record.frames - 1, np.arange(len(design))] = record.last(poses) + draw.pose.T
         columns |= dict(zip(REFERENCE_POSE, np.round(read, 5), strict=True))
     kept = (np.arange(record.t_s.shape[0])[:, None] < record.frames).T  # (n_runs, n_frames)

@@ -75,7 +75,6 @@ def draw_noise(noise: Noise, n_runs: int, rng: np.random.Generator) -> NoiseDraw
     tail = noise.tail
     common = noise.common * _tailed(rng, (n_runs,), tail)
     differential = noise.differential * _tailed(rng, (n_runs,), tail)
-    # mixed over runs: the heavy tail, and unit mean square
     mixing = np.ones(n_runs) if np.isinf(tail) else np.sqrt((tail - 2.0) / rng.chisquare(tail, n_runs))
     axes = np.array([noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad])
     return NoiseDraw(

@@ -158,7 +158,6 @@ def half_of_steps(causes: Sequence[Cause], later: Sequence[str]) -> dict[str, fl
     step = next((cause for cause in causes if cause.effect == SessionStep.id and cause.parameters), None)
     if step is None:
         return {}
-    # the first session's is not stated: the others count from it
     steps = step.parameters.items()
     by_session = [[0.0, *(size.value for name, size in steps if name.startswith(side))] for side in _SIDES]
     if step.form:

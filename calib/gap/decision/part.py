@@ -74,7 +74,6 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     if why and steps:
         return replace(whole, why=(*whole.why, *(f"beside {', '.join(sorted(steps))}: {text}" for text in why)))
     if why:
-        # beside a blunder alone there are no reasons yet
         return whole if causes else replace(whole, held_out=improvement, transfer=tried, why=tuple(why))
     return replace(
         whole,

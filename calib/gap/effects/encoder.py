@@ -255,7 +255,6 @@ def bad_runs(nominal: Path) -> dict[str, float]:
 
     A counter that was reset or stood still, or a reference of another drive.
     """
-    # a counter that jumps makes its own run long
     off, kind = misfit(nominal, by_kind=True), nominal.s.labels["kind"]
     order = np.argsort(-off, kind="stable")
     worst = off[order[: int(MOST_BAD_RUNS * len(off)) + 1]]
@@ -289,7 +288,6 @@ def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by
         way, turned = (np.where(mine, np.median(values[mine]), values) for values in (way, turned))
     away = np.isfinite(length) & (length > 0.5) & by_extent
     length = np.where(away, length, np.fmax(length, np.maximum(way, 0.5)))
-    # measured to end ahead, headed as at the beginning
     measured, usable = observations.measured, observations.usable
     aside = usable[:, 2] & ~(np.abs(measured[:, 2]) < _STRAIGHT_ANGLE_RAD * np.abs(measured[:, 1]))
     straight = ~aside & ~(usable[:, 3] & ~(np.abs(measured[:, 3]) < _STRAIGHT_ANGLE_RAD))

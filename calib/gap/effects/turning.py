@@ -239,7 +239,6 @@ class DriveSlip(Effect):
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
         common = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
         rolling = replace(common, sign=1) if weight_varies else common
-        # of the steps only this is kept by the forms
         with_speeding, with_acceleration, with_way = (
             _front_excess(observations, travel) for travel in (front * speeding, front * acceleration, front)
         )

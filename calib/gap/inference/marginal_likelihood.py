@@ -168,7 +168,6 @@ def _beside_wide(sums: Sums, priors: FormPriors, models: Sequence[tuple[int, ...
     prior, columns = priors.priors(models), np.unique(index[index >= 0])
     left: dict[int, float] = {}
     assert sums.wide is not None
-    # no lack of fit first, then each kind from its largest scale
     for n in np.lexsort((-sums.scale, sums.kind)).tolist():
         kind, top = int(sums.kind[n]), float(sums.log_prior[n] + prior.max()) + _NEGLIGIBLE
         if kind in left and top + log_marginal(left[kind], sums.log_det[n], sums.n_rows) < best:
@@ -259,7 +258,6 @@ def log_sign_probability(gram: FloatArray, right: FloatArray, variance: FloatArr
     sides[..., 0], sides[..., 1:] = root * right / size, np.eye(sign.shape[-1])[:, signed]
     pivots, rows = _eliminated(inner, sides)
     right, own = rows[:, len(pivots), None], rows[:, len(pivots) + 1 :]
-    # both times the prior scale over the scaling
     share = own / pivots[:, None]
     mean, spread = (np.moveaxis((share * of).sum(axis=0), 0, -1) for of in (right, own))
     spread = np.sqrt(spread)

@@ -133,7 +133,6 @@ class ScaleLikelihood:
         root = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
         lower = np.linalg.cholesky(inner / (root[:, :, None] * root[:, None, :]) + _ROUNDING * np.eye(n_own))
         middle = 2 * float((np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum())
-        # F^T F is the inverse of the groups' own products
         factors = np.linalg.inv(lower) / root[:, None, :]
         taken = factors @ gram[:, :, n_own:]
         own = x @ factors.transpose(0, 2, 1)[grouped.group]
@@ -176,7 +175,6 @@ class ScaleLikelihood:
         residual, own, _ = self.solved(whitener_of(covariance))
         lever = 6.0 - np.trace(own, axis1=1, axis2=2)
         dim = np.maximum(self.usable.sum(axis=1), 1)
-        # what a unit keeps without its group's means
         kept = np.maximum(dim - lever, 0.25 * dim)
         square = (residual**2).sum(axis=1) / kept * dim
         reach = chdtri(dim, OUTLIER_PROBABILITY)

@@ -99,7 +99,6 @@ class FormPriors:
         form, row = _forms_of(models)
         counts = self.layout.counts[form]
         at, row, owner = (np.repeat(each, counts) for each in (self.layout.starts[form], row, form))
-        # number of each column within form, and model
         at += _within(np.repeat(np.arange(len(form)), counts))
         place = _within(row)
         table = np.full((2, len(models), int(place.max(initial=-1)) + 1), -1)

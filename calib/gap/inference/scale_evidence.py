@@ -157,7 +157,6 @@ def _columns(local: LocalSearch, model: Model, scale: int) -> FloatArray:
         most = prior_scale(sizes[None], owner[None], local.columns, place[None])[0]
         parts.append(np.concatenate([system.of(k) for k in model], axis=1) * most)
     for (_, places), own in zip(system.blocks.alike, weighting.own, strict=True):
-        # a column of each block's own, zero in all others
         spread = np.zeros((len(system.gap), len(places), own.shape[2]))
         spread[places, np.arange(len(places))[:, None]] = own
         parts.append(spread.reshape(len(system.gap), -1))

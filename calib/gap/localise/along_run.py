@@ -149,7 +149,6 @@ class _Route:
 
     def read(self, trace: Trace, values: FloatArray) -> FloatArray:
         if self.on_floor and trace.back:
-            # gained between places on the ground, either way
             return -np.interp(self.length_m - self.grid, trace.way_m, values)
         return np.interp(self.grid, trace.way_m, values)
 

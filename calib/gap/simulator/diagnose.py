@@ -102,7 +102,6 @@ def diagnose_simulator(
         return replace(diagnosis, notes=(*diagnosis.notes, *notes))
 
     diagnosis = _confirmed(searched, differences, np.random.default_rng(seed))
-    # a plan of runs knows no simulator's parameters
     why = tuple(text.replace(PLAN, "other routes, speeds or loads tell") for text in diagnosis.fix.why)
     return SimulatorDiagnosis(replace(diagnosis, fix=replace(diagnosis.fix, why=why)), runner)
 

@@ -148,7 +148,6 @@ def gap_by_covariate(
         axis.set_xlabel(legible(with_unit(title)))
         axis.margins(x=0.06, y=0.08)
         axis.locator_params(axis="x", nbins=4)
-    # the interval of a class of two runs may leave the panel
     known = gap[np.isfinite(gap)]
     if len(known):
         low, high = min(float(known.min()), 0.0), max(float(known.max()), 0.0)

@@ -182,7 +182,6 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
     plan, graph = figure.subplots(1, 2)
     drawn_ellipses = ellipses(path.corrected.systematic + path.corrected.random)
     route = path.corrected.poses
-    # the largest axis about an eighth of the plan
     extent = max(float(np.ptp(path.reference.x_m)), float(np.ptp(path.reference.y_m)), 1.0)
     scale = round_down(0.125 * extent / max(float(drawn_ellipses.major_m.max()), 1e-9))
     for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:

@@ -42,7 +42,6 @@ IMPROBABLE_GAP: Final = ("note", "Probably no gap")
 def verdict_notice(verdict: Diagnosis) -> Notice:
     """Return the verdict with its sentence."""
     level, title = IMPROBABLE_GAP if verdict.is_improbable else TITLES[verdict.kind]
-    # a title says its sentence's beginning already
     text = prose(verdict.sentence.removeprefix(title).lstrip(": "))
     return Notice(level, with_kind(title, verdict.kind), text)
 
@@ -109,7 +108,6 @@ def covariate_picture(gap: "GapArrays | None", verdict: Diagnosis) -> list[Pictu
         return []
     from calib.reporting.figures.gap import MAX_PANELS, distinct, rms
 
-    # those that explain most come first: panels are limited
     lines = sorted(verdict.where.covariates, key=lambda line: not line.significant)
     rank = {line.name: number for number, line in reversed(list(enumerate(lines)))}
     varied = {
@@ -335,12 +333,10 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
     if simulator and diagnosis.recommended:
         tied = any(name.startswith("simulator:") for group in diagnosis.groups for name in group)
         kind = "simulator" if diagnosis.fix.parameters else "simulator group" if tied else "simulator lacks"
-    # what was corrected before the search has no finite signal
     wrong = diagnosis.correct_first or any(cause.signal == float("inf") for cause in diagnosis.causes)
     step = f"diagnose {'wrong' if wrong else kind}"
     if step in blocks.catalogue()["next"]:
         return step
-    # runs to drive next are sought for confounded causes alone
     return without_runs(diagnosis) if diagnosis.groups and not (diagnosis.next_runs or simulator) else "diagnose"
 
 

@@ -257,7 +257,6 @@ def quality_text(wheel: WheelFit) -> str:
     """Return the scatter about the law, and what it explains."""
     text = f"{wheel.wheel.capitalize()} wheel: residual standard deviation {two_digits(UM * wheel.residual_std_m)} µm"
     if wheel.model == "line":
-        # more digits where the line explains nearly all
         text += f", R² = {wheel.r_squared:.5f}" if wheel.r_squared > 0.99 else f", R² = {wheel.r_squared:.3f}"
     return text + "."
 
@@ -313,7 +312,6 @@ def left_out_table(fit: Fit) -> Table:
 def runs_table(fit: Fit) -> Table:
     """Return a row a run."""
     radii = fit.radii
-    # head -> values, factor of its unit, decimals
     numbers: dict[str, tuple[FloatArray, float, int]] = {"~Distance (m)": (radii.distance_m, 1.0, 4)}
     encoder = None if fit.setup is None else fit.setup.encoder
     for side in SIDES if encoder is not None else ():

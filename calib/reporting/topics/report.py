@@ -191,7 +191,6 @@ def _band_rows(left: WheelFit, right: WheelFit) -> tuple[tuple[str, ...], ...]:
     columns = [[fixed(float(load), 0) for load in loads]]
     for wheel in (left, right):
         mean, single = (1e6 * wheel.law.half_width_m(loads, single_run=one) for one in (False, True))
-        # one number of decimals for all radii: the narrowest band's
         decimals = places(1e-3 * float(mean.min()))
         columns.append([fixed(1e3 * float(radius), decimals) for radius in wheel.law.radius_m(loads)])
         columns += [[two_digits(float(width)) for width in widths] for widths in (mean, single)]
@@ -205,7 +204,6 @@ def coefficients_section(source: Source) -> Section:
     for wheel in fit.wheels.values():
         for number, (title, unit, value, std, dof) in enumerate(results.coefficients_in_units(wheel)):
             k = float(t_quantile(dof))
-            # two digits of u fix the value's last place, too
             numbers = (*measured(value, std), fixed(dof, 1), fixed(k, 2), two_digits(k * std))
             rows.append(("" if number else wheel.wheel, title, unit, *numbers))
     heads = ("<Wheel", "<Quantity", "<Unit", "Value", "u", "ν", "k", "U")
