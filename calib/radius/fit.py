@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
-from calib.campaign.check import implausible, notes_for_results
+from calib.campaign.check import doubts, implausible, notes_for_results
 from calib.campaign.checks.design import HIDING, assumed_settings, listed, partial_slope
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
@@ -102,10 +102,10 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, n
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
     nominal = None if "vehicle.wheel_radius_m" in campaign.assumed else campaign.vehicle.wheel_radius_m
     given = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
-    wheels = {}
+    wheels, spoilt = {}, [Check("data", FAILED, sentence) for sentence in doubts(campaign)]
     for name, line in fit.wheels.items():
         wheel = effective.with_systematic(line if given else without_loads(line), radii, sources)
-        wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal, radii.run_id), *wheel.checks))
+        wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal, radii.run_id), *spoilt, *wheel.checks))
         wheel = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
         if not any(source.section == "path" for source in sources) and np.isnan(used.number("ref_theta_rad")).all():
             # two wheels' paths to a bow: b times its turn of 8 h / S, half of it each

@@ -174,6 +174,10 @@ _LEAST_OF_A_LINE: Final = 8
 _MOST_OF_A_LINE: Final = 400
 #: so many spreads off that line are no scatter of the payload's place
 _LOAD_SPREADS: Final = 6.0
+#: so many runs off to one side are no chance (2 in 2 to the power of 8)
+_TO_ONE_SIDE: Final = 8
+#: a centre of mass and a payload are placed within 1 to 2 cm on a metre
+_STATICS: Final = 0.02
 #: share of a weight on two rear wheels, wherever it lies: a fifth to all, and scales 5 % off
 _REAR_SHARE: Final = (0.2, 1.05)
 
@@ -194,18 +198,33 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     allowed = _allowed(computed.sum(axis=0))
     off = np.asarray((np.abs(weighed - computed) > allowed).any(axis=0))
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
-    if off.sum() > max(3, design.MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum()):
+    more = (weighed.sum(axis=0) > computed.sum(axis=0))[off]
+    most = off.sum() > max(3, design.MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum())
+    if most or (len(more) >= _TO_ONE_SIDE and len(set(more.tolist())) == 1):
         hint, code = _SWAPPED if swapped.sum() > design.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
-        ratio = np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off])
-        text = f"in {int(off.sum())} runs the loads are {ratio:.3g} times those of vehicle and payload in sum; {hint}"
+        left, right = np.median((weighed / computed)[:, off], axis=1)
+        text = f"""in {int(off.sum())} runs ({design.listed(runs.run_id[off])}) left and right loads are {left:.3g} and
+            {right:.3g} times those of vehicle and payload; {hint}"""
         yield column_note(f"{_LOADS}, payload_kg", text, code)
         return
+    yield from _alike_off(campaign, weighed / np.where(computed > 0.0, computed, np.nan))
     for run in np.flatnonzero(off):
         hint, code = _SWAPPED if swapped[run] else _CONTRADICTED
         text = f"""found {weighed[0, run]:.0f} and {weighed[1, run]:.0f} N; vehicle and payload ask for
             {computed[0, run]:.0f} and {computed[1, run]:.0f} N; {hint}"""
         yield cell_note(campaign, run, _LOADS, text, code)
     yield from _off_the_line(campaign, np.where(np.isfinite(computed.sum(axis=0)), np.nan, weighed.sum(axis=0)))
+
+
+def _alike_off(campaign: Campaign, ratios: FloatArray) -> Iterator[Note]:
+    known = ratios[:, np.isfinite(ratios).all(axis=0)]
+    if not design.stated(campaign, "vehicle.mass_kg") or known.shape[1] < _LEAST_OF_A_LINE:
+        return
+    left, right = np.median(known, axis=1)
+    if any(abs(np.median(of) - 1.0) > max(_STATICS, _LOAD_SPREADS * design.robust_spread(of)) for of in known):
+        text = f"""in all runs alike left and right loads are {left:.3f} and {right:.3f} times those of vehicle and
+            payload; where the scales are off, slopes are by as much; {_CONTRADICTED[0]}"""
+        yield column_note(f"{_LOADS}, payload_kg", text, _CONTRADICTED[1], "info")
 
 
 def _slopes(x: FloatArray, y: FloatArray) -> FloatArray:

@@ -12,11 +12,9 @@ from calib.campaign.read import CLOSED, log_totals
 from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
-#: both radii further from nominal, alike to `ALIKE`, are a setting rather than two worn wheels
+#: a worn wheel is a per cent off nominal; both further off to one side are a setting, whatever they differ by, and
+#: further still another wheel (a published robot rolls 6 % short of nominal), which the check of plausible radii says
 FAR_FROM_NOMINAL: Final = 0.012
-ALIKE: Final = 0.003
-#: further off, it is another wheel (a published robot rolls 6 % short of nominal), which the check of plausible radii
-#: says
 MOST_FAR: Final = 0.05
 #: a clock in other units makes a log so many times faster or slower
 CLOCK_FACTORS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
@@ -52,11 +50,12 @@ def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
         return
     over_model = np.stack([_over_model(campaign, side) for side in SIDES])
     for whose, radii in (("nominal one", ratios), ("model's", ratios * over_model)):
-        left, right = np.nanmedian(radii, axis=1)
-        if abs(left - right) < ALIKE and FAR_FROM_NOMINAL < abs(left - 1.0) < MOST_FAR:
-            text = f"""both wheels roll as if their radius were {100 * (left - 1):+.2g} % off the {whose}; expected
-                within {100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the nominal radius"""
-            yield setting_note("encoder and vehicle", text, "counts_per_rev")
+        left, right = np.nanmedian(radii, axis=1) - 1.0
+        if left * right > 0.0 and FAR_FROM_NOMINAL < min(abs(left), abs(right)) < MOST_FAR:
+            text = f"""both wheels roll as if their radii were {100 * left:+.2g} % and {100 * right:+.2g} % off the
+                {whose}; expected within {100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the
+                nominal radius"""
+            yield setting_note("encoder and vehicle", text, "count_scale" if radii is ratios else "counts_per_rev")
             return
 
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calib.campaign.check import check_campaign
 from calib.campaign.checks.counts import turn_direction
-from calib.campaign.checks.settings import heading_turns, implausible_senses, odd_runs
+from calib.campaign.checks.settings import counts_per_revolution, heading_turns, implausible_senses, odd_runs
 from calib.campaign.model import Campaign
 from tests.campaign.making import with_numbers
 from tests.kinematics.campaigns import Truth, campaign, square
+from tests.radius.campaigns import straight
 
 #: runs of 4 rad to either side, and squares of whole turns
 ROUTES = [
@@ -26,6 +28,20 @@ def _driven() -> Campaign:
     made = campaign(ROUTES * 6, Truth(), np.random.default_rng(1), walk=1e-3)
     made.runs.labels["session"] = SESSIONS  # type: ignore[index]
     return made
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.003, 0.005, 0.01, 0.02])
+@pytest.mark.parametrize(("off", "named"), [(0.04, True), (0.025, True), (-0.025, True), (0.0, False), (0.08, False)])
+def test_both_radii_off_to_one_side_are_a_setting_whatever_they_differ_by(
+    apart: float, off: float, named: bool
+) -> None:
+    """Wear takes a wheel or two off nominal; a wrong count takes both, and nothing is said of a radius assumed."""
+    load = np.linspace(300.0, 900.0, 12)
+    radius = 0.1 * (1.0 + off - 1e-5 * (load - 600.0))
+    made = straight(radius * (1.0 + apart / 2), radius * (1.0 - apart / 2), load)
+    found = [note.code for note in counts_per_revolution(made)]
+    assert found == ["count_scale"] * named
+    assert not list(counts_per_revolution(replace(made, assumed=("vehicle.wheel_radius_m",))))
 
 
 def _wrapped(heading: np.ndarray) -> np.ndarray:
