@@ -136,7 +136,7 @@ def _curvature(runs: _Residuals) -> Check | None:
         f"The radius bends by about {sag} um in the middle of the load range: a straight law is that far off "
         "there; narrow the load range, or use a look-up table of measured loads.",
     )
-    return tested("curvature", bend / sd, f"t({dof:.0f})", p_of_t(bend / sd, dof), sentences, fails=True)
+    return by_t("curvature", bend, sd, dof, sentences, fails=True)
 
 
 def _equal_scatter(runs: _Residuals) -> Check:
@@ -213,7 +213,7 @@ def _direction(runs: _Residuals) -> Check | None:
         f"Radii driven out are {UM * 2.0 * half:+.1f} um from those driven back: a zero error of the rangefinder, "
         "a sloping floor or drag in one direction; as many runs out as back cancel it, keep it so.",
     )
-    return tested("direction", half / sd, f"t({dof:.0f})", p_of_t(half / sd, dof), sentences)
+    return by_t("direction", half, sd, dof, sentences)
 
 
 def _range(fit: WheelFit) -> Check:
@@ -236,6 +236,12 @@ def tested(
     """
     level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
     return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
+
+
+def by_t(name: str, slope: float, sd: float, dof: float, sentences: tuple[str, str], *, fails: bool = False) -> Check:
+    """Return the check of a slope by its standard error and Student's t; see `tested`."""
+    statistic = slope / sd if sd > 0.0 else 0.0
+    return tested(name, statistic, f"t({dof:.3g})", p_of_t(statistic, dof), sentences, fails=fails)
 
 
 def p_of_t(statistic: float, dof: float) -> float:
