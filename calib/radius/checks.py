@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
-from calib.campaign.checks.design import HIDING, along_load, partial_slope
+from calib.campaign.checks.design import HIDING, along_load, partial_slope, way
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 from calib.types import FloatArray, StrArray, few_digits
@@ -196,24 +196,28 @@ def _normality(runs: _Residuals) -> Check | None:
 
 
 def _direction(runs: _Residuals) -> Check | None:
-    way, fit = np.char.lower(runs.direction), runs.fit
-    side = np.where(way == "out", 1.0, np.where(way == "back", -1.0, np.nan))
+    side, fit = way(runs.direction), runs.fit
     loads = [fit.load_N[side == sign] for sign in (1.0, -1.0)]
     if min(map(len, loads)) < 3:
         return None
     known = np.isfinite(side)
     half, sd, dof = partial_slope(fit.residual_m[known], side[known], fit.fitted(runs.session, known), ROUNDING)
-    if beside_load(fit, side, runs.session)[0] ** 2 > 1.0 - ALIASED:
-        of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
+    with_load, per_N = beside_load(fit, side, runs.session)
+    of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
+    if with_load**2 > 1.0 - ALIASED:
         return Check("direction", FAILED, f"{of} holds what one direction does; drive each load both ways.")
     if sd <= 0.0 or np.isinf(sd):
         return None
+    moved, ends = abs(half * per_N), "As many runs out as back at each load cancel it, keep it so."
+    if spoilt := fit.model == "line" and moved > float(fit.estimate.half_width((0.0, 1.0))):
+        ends = f"{of} holds {UM * moved:.2g} um/N of it; drive each load both ways."
     sentences = (
         "Out and back give the same radius.",
         f"Radii driven out are {UM * 2.0 * half:+.1f} um from those driven back: a zero error of the rangefinder, "
-        "a sloping floor or drag in one direction; as many runs out as back cancel it, keep it so.",
+        f"a sloping floor or drag in one direction. {ends}",
     )
-    return by_t("direction", half, sd, dof, sentences)
+    check = by_t("direction", half, sd, dof, sentences)
+    return replace(check, level=FAILED) if spoilt and check.level == NOTE else check
 
 
 def _range(fit: WheelFit) -> Check:

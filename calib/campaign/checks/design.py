@@ -247,11 +247,22 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
         text = """all runs are of one session, so that what shifts from session to session cannot be told: 'calib fit'
             holds such a law doubtful; drive two loads or more in another session"""
         yield column_note("session", text, "one_session")
-    session, order = campaign.runs.label("session"), np.arange(float(len(label)))
-    if any(along_load(load, order, session)[0] ** 2 > HIDING for load in both_sides(campaign, "load_{}_N")):
-        text = """the loads rise or fall with the order driven, so that warming up and the effect of the load cannot be
-            told apart; drive some loads again at the end, or in mixed order"""
-        yield column_note("order and load", text, "ordered_load")
+    session, loads = campaign.runs.label("session"), both_sides(campaign, "load_{}_N")
+    for name, values, code, words, cause, remedy in (
+        ("order", np.arange(float(len(label))), "ordered_load", "rise or fall with the order driven", "warming up",
+         "drive some loads again at the end, or in mixed order"),
+        ("direction", way(campaign.runs.label("direction")), "one_way_load", "go with the direction",
+         "what one direction does", "drive each load both ways"),
+    ):  # fmt: skip
+        if any(along_load(load, values, session)[0] ** 2 > HIDING for load in loads):
+            text = f"the loads {words}, so that {cause} and the effect of the load cannot be told apart; {remedy}"
+            yield column_note(f"{name} and load", text, code)
+
+
+def way(direction: StrArray) -> FloatArray:
+    """Return 1 for runs driven out, -1 for runs driven back, NaN for others."""
+    name = np.char.lower(direction)
+    return np.where(name == "out", 1.0, np.where(name == "back", -1.0, np.nan))
 
 
 def along_load(load_N: FloatArray, values: FloatArray, session: StrArray) -> tuple[float, float]:
@@ -272,14 +283,14 @@ _CHANGED: Final = {"load": 20.0, "speed": 0.02, "temperature": 2.0, "order of th
 
 def columns_as_one(campaign: Campaign) -> Iterator[Note]:
     """Say where two of load, speed, temperature, order of the sessions and direction change together."""
-    runs, way = campaign.runs, np.char.lower(campaign.runs.label("direction"))
+    runs = campaign.runs
     _, first, session = np.unique(runs.label("session"), return_index=True, return_inverse=True)
     values = (
         both_sides(campaign, "load_{}_N").sum(axis=0),
         np.abs(runs.number("speed_mps")),
         runs.number("temperature_C"),
         np.argsort(np.argsort(first))[session].astype(float),
-        np.where(way == "out", 0.0, np.where(way == "back", 1.0, np.nan)),
+        way(runs.label("direction")),
     )
     for (one, a), (other, b) in combinations(zip(_CHANGED, values, strict=True), 2):
         known = np.isfinite(a + b)
