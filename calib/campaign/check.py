@@ -154,7 +154,7 @@ _IN_ORDER: Final[tuple[Check, ...]] = (
     settings.rounded_values, settings.copied_distances, settings.shifted_sessions,
     counts.swapped_wheels, counts.turn_direction, counts.clock, counts.count_jumps,
     counts.log_speed, counts.steered_by_itself, poses.lost_reference,
-    design.far_from_repeats, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
+    settings.far_from_line, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
     measurements.reference_load, poses.mirrored_ends, poses.turned_frame, poses.bearing_of_ends,
     poses.stated_uncertainties, poses.track_against_bows, poses.gyro_against_reference, design.load_and_session,
     design.columns_as_one, design.few_loads, model_against_vehicle, implausible,

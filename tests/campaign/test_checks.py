@@ -131,7 +131,7 @@ def test_loads_that_go_with_the_direction_are_said_to_be_inseparable(apart: bool
     out = np.arange(30) % 2 > 0 if apart else made.runs.number("payload_kg") > 75.0
     labels = {**made.runs.labels, "direction": np.where(out, "out", "back")}
     codes = [note.code for note in check_campaign(replace(made, runs=replace(made.runs, labels=labels))).suspicious]
-    assert codes == ([] if apart else ["one_way_load"])
+    assert codes == ([] if apart else ["ordered_load"])
 
 
 def test_columns_that_change_apart_are_left_alone() -> None:

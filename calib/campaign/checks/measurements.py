@@ -7,7 +7,17 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.checks import design
-from calib.campaign.checks.design import LEAST_RUNS, SIDES, both_sides, cell_note, column_note, implausible_column
+from calib.campaign.checks.design import (
+    LEAST_OF_A_LINE,
+    LEAST_RUNS,
+    SIDES,
+    both_sides,
+    cell_note,
+    column_note,
+    implausible_column,
+    off_line,
+    slopes_of,
+)
 from calib.campaign.checks.settings import MOST_ODD
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
@@ -169,9 +179,6 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
         yield column_note(_LOADS, text, "missing_load")
 
 
-#: fewer runs give no line of load against payload, more nothing new
-_LEAST_OF_A_LINE: Final = 8
-_MOST_OF_A_LINE: Final = 400
 #: so many spreads off that line are no scatter of the payload's place
 _LOAD_SPREADS: Final = 6.0
 #: so many runs off to one side are no chance (2 in 2 to the power of 8)
@@ -198,47 +205,26 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     allowed = _allowed(computed.sum(axis=0))
     off = np.asarray((np.abs(weighed - computed) > allowed).any(axis=0))
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
-    more = (weighed.sum(axis=0) > computed.sum(axis=0))[off]
-    most = off.sum() > max(3, design.MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum())
-    if most or (len(more) >= _TO_ONE_SIDE and len(set(more.tolist())) == 1):
+    more, known = (weighed.sum(axis=0) > computed.sum(axis=0))[off], np.isfinite(weighed + computed).all(axis=0)
+    whole = off.sum() > max(3, design.MOST_OF_THE_RUNS * known.sum())
+    whole |= len(more) >= _TO_ONE_SIDE and more.mean() in {0.0, 1.0}
+    of = off if whole else known & (computed > 0.0).all(axis=0)
+    ratios = (weighed / computed)[:, of]
+    far = [abs(np.median(each) - 1.0) > max(_STATICS, _LOAD_SPREADS * design.robust_spread(each)) for each in ratios]
+    stated = design.stated(campaign, "vehicle.mass_kg") and ratios.shape[1] >= LEAST_OF_A_LINE
+    if whole or (stated and any(far) and not off.any()):
         hint, code = _SWAPPED if swapped.sum() > design.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
-        left, right = np.median((weighed / computed)[:, off], axis=1)
-        text = f"""in {int(off.sum())} runs ({design.listed(runs.run_id[off])}) left and right loads are {left:.3g} and
-            {right:.3g} times those of vehicle and payload; {hint}"""
-        yield column_note(f"{_LOADS}, payload_kg", text, code)
+        left, right = np.median(ratios, axis=1)
+        text = f"""in {ratios.shape[1]} runs ({design.listed(runs.run_id[of])}) left and right loads are {left:.4g} and
+            {right:.4g} times those of vehicle and payload; {hint}"""
+        yield column_note(f"{_LOADS}, payload_kg", text, code, "suspicious" if whole else "info")
         return
-    yield from _alike_off(campaign, weighed / np.where(computed > 0.0, computed, np.nan))
     for run in np.flatnonzero(off):
         hint, code = _SWAPPED if swapped[run] else _CONTRADICTED
         text = f"""found {weighed[0, run]:.0f} and {weighed[1, run]:.0f} N; vehicle and payload ask for
             {computed[0, run]:.0f} and {computed[1, run]:.0f} N; {hint}"""
         yield cell_note(campaign, run, _LOADS, text, code)
     yield from _off_the_line(campaign, np.where(np.isfinite(computed.sum(axis=0)), np.nan, weighed.sum(axis=0)))
-
-
-def _alike_off(campaign: Campaign, ratios: FloatArray) -> Iterator[Note]:
-    known = ratios[:, np.isfinite(ratios).all(axis=0)]
-    if not design.stated(campaign, "vehicle.mass_kg") or known.shape[1] < _LEAST_OF_A_LINE:
-        return
-    left, right = np.median(known, axis=1)
-    if any(abs(np.median(of) - 1.0) > max(_STATICS, _LOAD_SPREADS * design.robust_spread(of)) for of in known):
-        text = f"""in all runs alike left and right loads are {left:.3f} and {right:.3f} times those of vehicle and
-            payload; where the scales are off, slopes are by as much; {_CONTRADICTED[0]}"""
-        yield column_note(f"{_LOADS}, payload_kg", text, _CONTRADICTED[1], "info")
-
-
-def _slopes(x: FloatArray, y: FloatArray) -> FloatArray:
-    step = 1 + len(x) // _MOST_OF_A_LINE
-    more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (x, y))
-    return rise[more > 0.0] / more[more > 0.0]
-
-
-def off_line(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return `y` less its line in `x` by median slopes (Theil and Sen), of few runs less the median."""
-    known = np.isfinite(x + y)
-    slopes = _slopes(x[known], y[known]) if known.sum() >= _LEAST_OF_A_LINE else np.zeros(0)
-    line = np.median(slopes) * np.where(np.isnan(x), np.median(x[known]), x) if len(slopes) else np.zeros(len(x))
-    return y - line - (np.median((y - line)[known]) if known.any() else 0.0)
 
 
 def _unit_of_shares(shares: FloatArray) -> str:
@@ -251,7 +237,7 @@ def _unit_of_shares(shares: FloatArray) -> str:
 
 def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
     known = np.isfinite(payload + total)
-    slopes = _slopes(payload[known], total[known])
+    slopes = slopes_of(payload[known], total[known])
     if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
         text = f"""each kg of payload adds {np.median(slopes):.3g} N to both wheels in sum; expected
             {_REAR_SHARE[0] * GRAVITY_MPS2:.2g} to {GRAVITY_MPS2:g} N; are they in {unit}?"""
@@ -261,7 +247,7 @@ def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     payload = campaign.runs.number("payload_kg")
     runs = np.flatnonzero(np.isfinite(total + payload))
-    if len(runs) < _LEAST_OF_A_LINE:
+    if len(runs) < LEAST_OF_A_LINE:
         return
     away = off_line(payload[runs], total[runs])
     expected = total.copy()

@@ -298,3 +298,30 @@ def late_logs(campaign: Campaign) -> Iterator[Note]:
             text = f"""the table counts {usual:+.0f} against the logs in every run: the logs begin or end at another
                 place than the distance; let the log begin before the vehicle moves"""
             yield column_note(f"counts_{side}", text, "late_logs")
+
+
+#: a radius this many spreads off is reported
+_OUTLIER_SPREADS: Final = 6.0
+
+
+def far_from_line(campaign: Campaign) -> Iterator[Note]:
+    """Find runs whose radius lies far from the line by load of their kind."""
+    for side in SIDES:
+        ratio, load = raw_radius_ratio(campaign, side), campaign.runs.number(f"load_{side}_N")
+        load = load if np.isfinite(load).any() else np.zeros(len(load))
+        ratio = np.where(np.abs(np.abs(ratio) - 1) < 0.15, ratio, np.nan)
+        away = np.full(len(ratio), np.nan)
+        for _, of in design.groups_of(campaign.runs.label("kind")):
+            of = of[np.isfinite(ratio + load)[of]]
+            if len(of) >= design.LEAST_OF_A_LINE:
+                x = load[of] - load[of].mean()
+                # a load far from the others' draws its line
+                away[of] = design.off_line(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
+        # the rangefinder's share keeps short runs, and exact data, from flagging their last digit
+        noise = campaign.rangefinder.sigma_m / campaign.runs.number("distance_m")
+        spread = np.maximum(design.robust_spread(away) * 1.2, noise)
+        for run in np.flatnonzero(np.abs(away) > _OUTLIER_SPREADS * spread):
+            text = f"""the {side} radius lies {100 * away[run]:+.3f} % from the line of the others by load,
+                {abs(away[run]) / spread[run]:.0f} times their spread; look for slip, a wrong distance or load, or a law
+                that bends, and set excluded with a reason if found"""
+            yield design.cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_line")
