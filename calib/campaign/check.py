@@ -272,17 +272,15 @@ def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str
     return tuple(dict.fromkeys(said))
 
 
-_OF_ALL_RADII: Final = frozenset({"count_scale", "contradicted_load", "swapped_loads"})
+_OF_ALL_RADII: Final = frozenset({"count_scale", "contradicted_load", "swapped_loads", "runs, columns load and speed"})
 
 
 def doubts(campaign: Campaign) -> Iterator[str]:
     """Yield what is suspicious of all runs' radii and loads alike, which moves a law and shows in no residual."""
     kept = _taken_apart(campaign.included())[1]
-    of_radii = counts.count_scale, settings.counts_per_revolution
-    for check in (*of_radii, measurements.loads_against_payload, design.columns_as_one):
-        for note in check(kept):
-            of_speed = note.where.endswith("load and speed")
-            if of_speed or (note.code in _OF_ALL_RADII and note.level == "suspicious" and not note.run_id):
+    for name in ("count_scale", "counts_per_revolution", "loads_against_payload", "columns_as_one"):
+        for note in CHECKS[name](kept):
+            if (note.level, note.run_id) == ("suspicious", "") and _OF_ALL_RADII & {note.code, note.where}:
                 yield note.sentence
 
 

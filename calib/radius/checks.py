@@ -335,7 +335,7 @@ def _order(fit: WheelFit, session: StrArray) -> Check | None:
     fails = sloped and found.slope_ratio > MAX_SLOPE_WIDENING
     alike = f"Runs that follow each other scatter alike (correlation about {found.rho:.2g})"
     alike += (
-        f", and the loads follow the order driven: what lasts from run to run looks like load. The intervals are "
+        f", and the loads follow the order driven: what lasts looks like load. The intervals are "
         f"{found.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads in random order."
         if fails
         else ": the intervals allow for it; let the wheels warm up, and drive the loads in random order."

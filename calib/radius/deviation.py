@@ -176,7 +176,7 @@ def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str,
     if abs(sine) > 1.0:
         raise BadInputError(
             f"distance: found {distance_m:g} m; expected at most {distance_m / abs(sine):.4g} m, the diameter of the "
-            f"circle on which wheels of ratio {radius_ratio:g} and track {track_m:g} m drive; give a shorter distance"
+            "circle that these wheels drive; give a shorter distance"
         )
     turn = 2.0 * float(np.arcsin(sine))
     path = arc_excess(turn, distance_m, track_m)

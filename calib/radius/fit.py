@@ -223,9 +223,9 @@ def _weave(radii: EffectiveRadii, wheels: list[WheelFit]) -> Iterator[Check]:
     times = max(1.0 - share, 0.0) ** 0.5
     moved = UM * share * float(excess.mean()) * wheels[0].law.radius_ref_m
     sentences = (
-        "What the law leaves does not follow the weave stated.",
+        "What the law leaves does not follow the weave.",
         f"What the law leaves follows the weave as if its amplitude were {times:.2g} times the one stated, which moves "
-        f"the radii by {moved:+.2g} um: amplitude_m is half of peak to peak; check this, and its unit.",
+        f"the radii by {moved:+.2g} um: amplitude_m is half of peak to peak; check it.",
     )
     yield by_t("weave", share, sd, dof, sentences, fails=not 1.0 / OTHER_AMPLITUDE < times < OTHER_AMPLITUDE)
 
@@ -262,8 +262,8 @@ def _with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> Wh
         level = FAILED
         sentence = (
             f"The wheels of all runs rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to have steered "
-            "by its own counts. Then only the mean of both radii is known, what they differ by went into the arc of "
-            "the path; measure ref_theta_rad at the end, or guide the vehicle by a line."
+            "by its own counts, and what the radii differ by went into the arc of the path; measure ref_theta_rad at "
+            "the end, or guide the vehicle by a line."
         )
     return replace(fit, checks=(*fit.checks, Check("path", level, sentence)))
 
@@ -280,9 +280,8 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     limit, usual = abs(slope) + sd * float(t_quantile(dof)), USUAL_PER_K * fit.law.radius_ref_m
     sentences = (
         f"The radius follows the temperature by no more than {UM * limit:.2g} um/K, if at all.",
-        f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: a law of the load "
-        "alone is off by that on a warmer or colder day; 'calib diagnose' says whether it is the temperature or "
-        "something that correlates with it, and corrects it.",
+        f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: the law is off by "
+        "that on a warmer or colder day; 'calib diagnose' says whether it is the temperature, and corrects it.",
     )
     check = by_t("temperature", slope, sd, dof, sentences, fails=True)
     with_load, per_N = beside_load(fit, temperature_C, session)

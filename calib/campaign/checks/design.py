@@ -268,23 +268,13 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
             holds such a law doubtful; drive two loads or more in another session"""
         yield column_note("session", text, "one_session")
     session, loads = campaign.runs.label("session"), both_sides(campaign, "load_{}_N")
-    orders = {
-        "order": (
-            np.arange(float(len(label))),
-            "rise or fall with the order driven",
-            "warming up",
-            "loads in mixed order",
-        ),
-        "direction": (
-            way(campaign.runs.label("direction")),
-            "go with the direction",
-            "drag one way",
-            "each load both ways",
-        ),
-    }
-    for name, (values, words, cause, remedy) in orders.items():
+    for name, values, cause, remedy in (
+        ("order", np.arange(float(len(label))), "warming up", "loads in mixed order"),
+        ("direction", way(campaign.runs.label("direction")), "drag one way", "each load both ways"),
+    ):
         if any(along_load(load, values, session)[0] ** 2 > HIDING for load in loads):
-            text = f"the loads {words}, so that {cause} and the effect of the load cannot be told apart; drive {remedy}"
+            text = f"""the loads go with the {name} driven, so that {cause} and the effect of the load cannot be told
+                apart; drive {remedy}"""
             yield column_note(f"{name} and load", text, "ordered_load")
 
 

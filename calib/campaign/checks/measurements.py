@@ -210,9 +210,9 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     whole |= len(more) >= _TO_ONE_SIDE and more.mean() in {0.0, 1.0}
     of = off if whole else known & (computed > 0.0).all(axis=0)
     ratios = (weighed / computed)[:, of]
-    far = [abs(np.median(each) - 1.0) > max(_STATICS, _LOAD_SPREADS * design.robust_spread(each)) for each in ratios]
-    stated = design.stated(campaign, "vehicle.mass_kg") and ratios.shape[1] >= LEAST_OF_A_LINE
-    if whole or (stated and any(far) and not off.any()):
+    alike = design.stated(campaign, "vehicle.mass_kg") and not off.any() and of.sum() >= LEAST_OF_A_LINE
+    spreads = (_LOAD_SPREADS * design.robust_spread(ratio) for ratio in ratios)
+    if whole or (alike and (np.abs(np.median(ratios, axis=1) - 1.0) > np.maximum(_STATICS, [*spreads])).any()):
         hint, code = _SWAPPED if swapped.sum() > design.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
         left, right = np.median(ratios, axis=1)
         text = f"""in {ratios.shape[1]} runs ({design.listed(runs.run_id[of])}) left and right loads are {left:.4g} and

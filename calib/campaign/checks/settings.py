@@ -321,7 +321,7 @@ def far_from_line(campaign: Campaign) -> Iterator[Note]:
         noise = campaign.rangefinder.sigma_m / campaign.runs.number("distance_m")
         spread = np.maximum(design.robust_spread(away) * 1.2, noise)
         for run in np.flatnonzero(np.abs(away) > _OUTLIER_SPREADS * spread):
-            text = f"""the {side} radius lies {100 * away[run]:+.3f} % from the line of the others by load,
+            text = f"""the {side} radius lies {100 * away[run]:+.3f} % from the others' line by load,
                 {abs(away[run]) / spread[run]:.0f} times their spread; look for slip, a wrong distance or load, or a law
-                that bends, and set excluded with a reason if found"""
+                that bends"""
             yield design.cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_line")
