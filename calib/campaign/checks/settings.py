@@ -12,8 +12,8 @@ from calib.campaign.read import CLOSED, log_totals
 from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
-#: a worn wheel is a per cent off nominal; both further off to one side are a setting, whatever they differ by, and
-#: further still another wheel (a published robot rolls 6 % short of nominal), which the check of plausible radii says
+#: a worn wheel is a per cent off nominal; both further off to one side are a setting, and further still another wheel
+#: (a published robot rolls 6 % short of nominal), which the check of plausible radii says
 FAR_FROM_NOMINAL: Final = 0.012
 MOST_FAR: Final = 0.05
 #: a clock in other units makes a log so many times faster or slower
