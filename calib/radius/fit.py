@@ -262,8 +262,8 @@ def _with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> Wh
         level = FAILED
         sentence = (
             f"The wheels of all runs rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to have steered "
-            "by its own counts, and what the radii differ by went into the arc of the path; measure ref_theta_rad at "
-            "the end, or guide the vehicle by a line."
+            "by its own counts. Then only the mean of both radii is known; measure ref_theta_rad at the end, or guide "
+            "the vehicle by a line."
         )
     return replace(fit, checks=(*fit.checks, Check("path", level, sentence)))
 
