@@ -1,8 +1,4 @@
-"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, and each run.
-
-The rangefinder sees S_O along the corridor. A path longer by the share e makes a radius S_O / (2 pi n) too small: its
-relative error is 1 / (1 + e) - 1.
-"""
+"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, and each run."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -73,7 +69,7 @@ def allowed_amplitude_on_run_m(
 ) -> FloatArray:
     """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
 
-    Unlike `allowed_amplitude_m` it counts the net turn where the run is no whole number of periods; see `weave_excess`.
+    It counts the net turn of a part of a period, too; see `weave_excess`.
     """
 
     def worse(amplitude_m: FloatArray) -> FloatArray:

@@ -42,7 +42,7 @@ LARGEST_DOF: Final = 1e6
 class WheelLaw:
     """Linear law of one wheel, r_e(F) = radius_ref + slope (F - reference_load).
 
-    The sign of the slope is data: bonded solid rubber can do either.
+    Of bonded solid rubber the slope can have either sign.
     """
 
     reference_load_N: float

@@ -13,7 +13,7 @@ from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, withou
 from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
 #: a worn wheel is a per cent off nominal; both further off to one side are a setting, and further still another wheel
-#: (a published robot rolls 6 % short of nominal), which the check of plausible radii says
+#: (a published robot rolls 6 % short)
 FAR_FROM_NOMINAL: Final = 0.012
 MOST_FAR: Final = 0.05
 #: a clock in other units makes a log so many times faster or slower
@@ -158,7 +158,8 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     known, apart, _ = _apart_rad(campaign, senses)
     for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
         if len(of := runs[known[runs]]) >= LEAST_RUNS and (
-            words := _made_good(np.median(apart[:, of], axis=1), senses)
+            words := _made_good(np.median(np.abs(apart[:, of]), axis=1), senses)
+            or _made_good(_of_straight_runs(campaign, apart, of), senses, 10.0 * campaign.reference.sigma_theta_rad)
         ):
             text = f"in {where} counts and headings are {words}"
             columns = f"{design.wheel_columns(campaign)}, ref_theta_rad"
@@ -172,6 +173,7 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
     campaign = design.on_axle(campaign)
     senses = _STEERED_SENSES if odometry_source(campaign) in STEERED else _SENSES
     known, apart, turned = _apart_rad(campaign, senses)
+    apart = np.abs(apart)
     by = np.array([each for *_, each, _ in senses])[apart.argmin(axis=0)]
     near = np.flatnonzero(known & (apart.min(axis=0) < _SINGLE_RAD + _SINGLE_SHARE * np.abs(by * turned)))
     told = {run: words for run in near.tolist() if (words := _made_good(apart[:, run], senses))}
@@ -191,13 +193,20 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
 def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArray, FloatArray]:
     turned = design.reference_turns(campaign)[0]
     left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
-    apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in senses]
+    apart = [by * turned - by_right * right + by_left * left for by_left, by_right, by, _ in senses]
     return np.isfinite(turned + left + right), np.array(apart), turned
 
 
-def _made_good(apart_rad: FloatArray, senses: Senses) -> str:
+def _of_straight_runs(campaign: Campaign, apart: FloatArray, of: IntArray) -> FloatArray:
+    # scatter about what the loads make of it
+    distance, loads = campaign.runs.number("distance_m")[of], design.both_sides(campaign, "load_{}_N")[:, of]
+    spreads = [design.robust_spread(design.off_line(loads[0] - loads[1], one[of] / distance)) for one in apart]
+    return np.array(spreads) * np.nanmax(distance, initial=0.0)
+
+
+def _made_good(apart_rad: FloatArray, senses: Senses, least: float = _APART_RAD) -> str:
     best = int(np.argmin(apart_rad))
-    if apart_rad[0] <= _APART_RAD or apart_rad[best] >= _MADE_GOOD * apart_rad[0]:
+    if apart_rad[0] <= least or apart_rad[best] >= _MADE_GOOD * apart_rad[0]:
         return ""
     return f"{apart_rad[0]:.3g} rad apart, or {apart_rad[best]:.2g} if {senses[best][-1]}"
 
