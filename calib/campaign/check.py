@@ -154,7 +154,7 @@ _IN_ORDER: Final[tuple[Check, ...]] = (
     settings.rounded_values, settings.copied_distances, settings.shifted_sessions,
     counts.swapped_wheels, counts.turn_direction, counts.clock, counts.count_jumps,
     counts.log_speed, counts.steered_by_itself, poses.lost_reference,
-    design.far_from_repeats, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
+    settings.far_from_line, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
     measurements.reference_load, poses.mirrored_ends, poses.turned_frame, poses.bearing_of_ends,
     poses.stated_uncertainties, poses.track_against_bows, poses.gyro_against_reference, design.load_and_session,
     design.columns_as_one, design.few_loads, model_against_vehicle, implausible,
@@ -270,6 +270,18 @@ def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str
         if len(notes) > _MOST_LISTED:
             said.append(f"{len(notes) - _MOST_LISTED} more of this kind ({notes[0].code}): 'calib check' lists them.")
     return tuple(dict.fromkeys(said))
+
+
+_OF_ALL_RADII: Final = frozenset({"count_scale", "contradicted_load", "swapped_loads", "runs, columns load and speed"})
+
+
+def doubts(campaign: Campaign) -> Iterator[str]:
+    """Yield what is suspicious of all runs' radii and loads alike, which moves a law and shows in no residual."""
+    kept = _taken_apart(campaign.included())[1]
+    for name in ("count_scale", "counts_per_revolution", "loads_against_payload", "columns_as_one"):
+        for note in CHECKS[name](kept):
+            if (note.level, note.run_id) == ("suspicious", "") and _OF_ALL_RADII & {note.code, note.where}:
+                yield note.sentence
 
 
 def assumed_notes(campaign: Campaign) -> tuple[str, ...]:

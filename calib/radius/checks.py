@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
-from calib.campaign.checks.design import HIDING, along_load, partial_slope
+from calib.campaign.checks.design import HIDING, along_load, partial_slope, way
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
 from calib.radius.sessions import Groups, breusch_pagan, groups_of
 from calib.types import FloatArray, StrArray, few_digits
@@ -136,7 +136,7 @@ def _curvature(runs: _Residuals) -> Check | None:
         f"The radius bends by about {sag} um in the middle of the load range: a straight law is that far off "
         "there; narrow the load range, or use a look-up table of measured loads.",
     )
-    return tested("curvature", bend / sd, f"t({dof:.0f})", p_of_t(bend / sd, dof), sentences, fails=True)
+    return by_t("curvature", bend, sd, dof, sentences, fails=True)
 
 
 def _equal_scatter(runs: _Residuals) -> Check:
@@ -196,24 +196,28 @@ def _normality(runs: _Residuals) -> Check | None:
 
 
 def _direction(runs: _Residuals) -> Check | None:
-    way, fit = np.char.lower(runs.direction), runs.fit
-    side = np.where(way == "out", 1.0, np.where(way == "back", -1.0, np.nan))
+    side, fit = way(runs.direction), runs.fit
     loads = [fit.load_N[side == sign] for sign in (1.0, -1.0)]
     if min(map(len, loads)) < 3:
         return None
     known = np.isfinite(side)
     half, sd, dof = partial_slope(fit.residual_m[known], side[known], fit.fitted(runs.session, known), ROUNDING)
-    if beside_load(fit, side, runs.session)[0] ** 2 > 1.0 - ALIASED:
-        of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
+    with_load, per_N = beside_load(fit, side, runs.session)
+    of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
+    if with_load**2 > 1.0 - ALIASED:
         return Check("direction", FAILED, f"{of} holds what one direction does; drive each load both ways.")
     if sd <= 0.0 or np.isinf(sd):
         return None
+    moved, ends = abs(half * per_N), "As many runs out as back at each load cancel it, keep it so."
+    if spoilt := fit.model == "line" and moved > float(fit.estimate.half_width((0.0, 1.0))):
+        ends = f"{of} holds {UM * moved:.2g} um/N of it; drive each load both ways."
     sentences = (
         "Out and back give the same radius.",
         f"Radii driven out are {UM * 2.0 * half:+.1f} um from those driven back: a zero error of the rangefinder, "
-        "a sloping floor or drag in one direction; as many runs out as back cancel it, keep it so.",
+        f"a sloping floor or drag in one direction. {ends}",
     )
-    return tested("direction", half / sd, f"t({dof:.0f})", p_of_t(half / sd, dof), sentences)
+    check = by_t("direction", half, sd, dof, sentences)
+    return replace(check, level=FAILED) if spoilt and check.level == NOTE else check
 
 
 def _range(fit: WheelFit) -> Check:
@@ -236,6 +240,12 @@ def tested(
     """
     level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
     return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
+
+
+def by_t(name: str, slope: float, sd: float, dof: float, sentences: tuple[str, str], *, fails: bool = False) -> Check:
+    """Return the check of a slope by its standard error and Student's t; see `tested`."""
+    statistic = slope / sd if sd > 0.0 else 0.0
+    return tested(name, statistic, f"t({dof:.3g})", p_of_t(statistic, dof), sentences, fails=fails)
 
 
 def p_of_t(statistic: float, dof: float) -> float:
@@ -325,7 +335,7 @@ def _order(fit: WheelFit, session: StrArray) -> Check | None:
     fails = sloped and found.slope_ratio > MAX_SLOPE_WIDENING
     alike = f"Runs that follow each other scatter alike (correlation about {found.rho:.2g})"
     alike += (
-        f", and the loads follow the order driven: what lasts from run to run looks like load. The intervals are "
+        f", and the loads follow the order driven: what lasts looks like load. The intervals are "
         f"{found.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads in random order."
         if fails
         else ": the intervals allow for it; let the wheels warm up, and drive the loads in random order."

@@ -1,8 +1,4 @@
-"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, and each run.
-
-The rangefinder sees S_O along the corridor. A path longer by the share e makes a radius S_O / (2 pi n) too small: its
-relative error is 1 / (1 + e) - 1.
-"""
+"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, and each run."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -73,7 +69,7 @@ def allowed_amplitude_on_run_m(
 ) -> FloatArray:
     """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
 
-    Unlike `allowed_amplitude_m` it counts the net turn where the run is no whole number of periods; see `weave_excess`.
+    It counts the net turn of a part of a period, too; see `weave_excess`.
     """
 
     def worse(amplitude_m: FloatArray) -> FloatArray:
@@ -176,7 +172,7 @@ def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str,
     if abs(sine) > 1.0:
         raise BadInputError(
             f"distance: found {distance_m:g} m; expected at most {distance_m / abs(sine):.4g} m, the diameter of the "
-            f"circle on which wheels of ratio {radius_ratio:g} and track {track_m:g} m drive; give a shorter distance"
+            "circle that these wheels drive; give a shorter distance"
         )
     turn = 2.0 * float(np.arcsin(sine))
     path = arc_excess(turn, distance_m, track_m)

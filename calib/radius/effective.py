@@ -8,8 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.checks.design import turned_rad
-from calib.campaign.checks.measurements import off_line
+from calib.campaign.checks.design import off_line, turned_rad
 from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import SOURCE_NAMES, WHEEL_COLUMNS, odometry_source, without_rear_wheels
@@ -75,8 +74,7 @@ class EffectiveRadii:
     #: relative excess of the wheel's path over S_O, shape (n_runs,); the uncorrected radius is ``radius / (1 + path)``
     path_left: FloatArray
     path_right: FloatArray
-    #: source of the correction: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured heading at the
-    #: end was used too, shape (n_runs,)
+    #: source of the correction, see `calib.radius.path_length.RunPaths`, shape (n_runs,)
     path_source: StrArray
     #: weave about the line, estimated or as measured; NaN where unknown, shape (n_runs,)
     amplitude_m: FloatArray
@@ -101,8 +99,8 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         wheels = SOURCE_NAMES[odometry_source(campaign)]
         raise RefusedError(
             f"{campaign.root or campaign.name}: found odometry from {wheels} alone; expected counts_left and "
-            "counts_right of two wheels on one axle, with distance_m and wheel loads; log them for a law of the load, "
-            "or run 'calib geometry' for the radius and the lengths of this vehicle"
+            "counts_right of two wheels on one axle, with distance_m and wheel loads; log them, or run "
+            "'calib geometry' for the radius and the lengths of this vehicle"
         )
     runs, notes = campaign.runs, []
     # of left and right wheel, shape (2, n_runs)

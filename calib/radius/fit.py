@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
-from calib.campaign.check import implausible, notes_for_results
+from calib.campaign.check import doubts, implausible, notes_for_results
 from calib.campaign.checks.design import HIDING, assumed_settings, listed, partial_slope
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
@@ -15,17 +15,7 @@ from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadInputError, ImplausibleError, RefusedError
 from calib.radius import effective
-from calib.radius.checks import (
-    FAIL_BELOW,
-    MAX_CELLS,
-    NOTE_BELOW,
-    UM,
-    beside_load,
-    p_of_t,
-    tested,
-    with_checks,
-    without_loads,
-)
+from calib.radius.checks import FAIL_BELOW, MAX_CELLS, NOTE_BELOW, UM, beside_load, by_t, with_checks, without_loads
 from calib.radius.effective import EffectiveRadii, effective_radii
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, fit_wheel, t_quantile
 from calib.radius.result import PLAUSIBLE, Fit, Setup
@@ -45,6 +35,8 @@ USUAL_PER_K: Final = 5e-5
 MIN_SLOPE_DOF: Final = 5
 #: lengths nearer than so many times a distance's uncertainty hold that error themselves
 LENGTHS_APART: Final = 30.0
+#: errors of a fifth of each amplitude look like one 0.8 times as large; peak to peak is twice
+OTHER_AMPLITUDE: Final = 1.5
 #: of a radius: the tolerance of 'calib deviation'
 PATH_TOLERANCE: Final = 5e-4
 #: of what runs differ by; a law that leaves more of runs held out takes away less than three quarters of its square
@@ -71,7 +63,8 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
         unchecked = fit_wheel(side, load, radius, radii.session, reference_load_N=reference_load_N)
         checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
         wheels.append(with_instrument_checks(checked, radii.distance_m, std, radii.session))
-    wheels = _held_against_residuals(radii, wheels)
+    woven = tuple(_weave(radii, wheels))
+    wheels = [replace(one, checks=(*one.checks, *woven)) for one in _held_against_residuals(radii, wheels)]
     radii = replace(radii, budget=(*radii.budget, *effective.observed_components(radii, *wheels)))
     return Fit(name, simulated, wheels[0], wheels[1], radii, notes=radii.notes)
 
@@ -102,10 +95,10 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, n
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
     nominal = None if "vehicle.wheel_radius_m" in campaign.assumed else campaign.vehicle.wheel_radius_m
     given = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
-    wheels = {}
+    wheels, spoilt = {}, [Check("data", FAILED, sentence) for sentence in doubts(campaign)]
     for name, line in fit.wheels.items():
         wheel = effective.with_systematic(line if given else without_loads(line), radii, sources)
-        wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal, radii.run_id), *wheel.checks))
+        wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal, radii.run_id), *spoilt, *wheel.checks))
         wheel = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
         if not any(source.section == "path" for source in sources) and np.isnan(used.number("ref_theta_rad")).all():
             # two wheels' paths to a bow: b times its turn of 8 h / S, half of it each
@@ -204,7 +197,7 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
     sd = float(max(spreads)) / norm
     # few short runs among many tell little of their own scatter
     carrying = min(float(dof), norm**2 / float(np.sum(own**4)))
-    statistic, half = offset / sd if sd > 0.0 else 0.0, sd * float(t_quantile(carrying))
+    half = sd * float(t_quantile(carrying))
     sentences = (
         "Short and long runs give the same radius.",
         f"The distances seem to be off by a constant {1e3 * offset:+.3g} mm ({1e3 * (offset - half):+.3g} to "
@@ -212,13 +205,34 @@ def _run_length(fit: WheelFit, reach: FloatArray, std_m: FloatArray, fitted: Flo
         "Check the rangefinder's zero, and slip at start and stop; correct distance_m, or drive long runs alone.",
     )
     fails = abs(offset * mean) > float(fit.estimate.half_width((1.0, 0.0)))
-    yield tested("run_length", statistic, f"t({carrying:.3g})", p_of_t(statistic, carrying), sentences, fails=fails)
+    yield by_t("run_length", offset, sd, carrying, sentences, fails=fails)
+
+
+def _weave(radii: EffectiveRadii, wheels: list[WheelFit]) -> Iterator[Check]:
+    known = np.char.startswith(radii.path_source, "columns")
+    if not known.any():
+        return
+    # of the mean of both wheels, which the turn of a weave of unknown phase leaves alone
+    shares = np.mean([one.residual_m / one.radius_m.mean() for one in wheels], axis=0)[known]
+    excess = 0.5 * (radii.path_left + radii.path_right)[known]
+    beside = np.column_stack([one.fitted(radii.session)[known] for one in wheels])
+    share, sd, dof = partial_slope(shares, excess, beside, NOTE_BELOW * float(excess.max()))
+    if dof < MIN_SLOPE_DOF or sd <= 0.0:
+        return
+    # the excess goes by the square of the amplitude
+    times = max(1.0 - share, 0.0) ** 0.5
+    moved = UM * share * float(excess.mean()) * wheels[0].law.radius_ref_m
+    sentences = (
+        "What the law leaves does not follow the weave.",
+        f"What the law leaves follows the weave as if its amplitude were {times:.2g} times the one stated, which moves "
+        f"the radii by {moved:+.2g} um: amplitude_m is half of peak to peak; check it.",
+    )
+    yield by_t("weave", share, sd, dof, sentences, fails=not 1.0 / OTHER_AMPLITUDE < times < OTHER_AMPLITUDE)
 
 
 def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Check]:
-    std_m = np.nan_to_num(std_m)
     dof = len(std_m) - fit.fitted(session).shape[1]
-    stated, scatter = float(np.sqrt(np.mean(std_m**2))), fit.run_std_m
+    stated, scatter = float(np.sqrt(np.mean(np.nan_to_num(std_m) ** 2))), fit.run_std_m
     if dof < MIN_SLOPE_DOF or stated <= 0.0:
         return
     ratio, least = scatter / stated, max(PATH_TOLERANCE * float(fit.radius_m.mean()), stated)
@@ -248,8 +262,8 @@ def _with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> Wh
         level = FAILED
         sentence = (
             f"The wheels of all runs rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to have steered "
-            "by its own counts. Then only the mean of both radii is known, what they differ by went into the arc of "
-            "the path; measure ref_theta_rad at the end, or guide the vehicle by a line."
+            "by its own counts. Then only the mean of both radii is known; measure ref_theta_rad at the end, or guide "
+            "the vehicle by a line."
         )
     return replace(fit, checks=(*fit.checks, Check("path", level, sentence)))
 
@@ -263,25 +277,23 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     slope, sd, dof = partial_slope(residual, temperature_C[known], fit.fitted(session, known), least)
     if sd <= 0.0:
         return fit
-    statistic, limit = slope / sd, abs(slope) + sd * float(t_quantile(dof))
-    p_value, usual = p_of_t(statistic, dof), USUAL_PER_K * fit.law.radius_ref_m
+    limit, usual = abs(slope) + sd * float(t_quantile(dof)), USUAL_PER_K * fit.law.radius_ref_m
+    sentences = (
+        f"The radius follows the temperature by no more than {UM * limit:.2g} um/K, if at all.",
+        f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: the law is off by "
+        "that on a warmer or colder day; 'calib diagnose' says whether it is the temperature, and corrects it.",
+    )
+    check = by_t("temperature", slope, sd, dof, sentences, fails=True)
     with_load, per_N = beside_load(fit, temperature_C, session)
     moved = usual * abs(per_N)
-    if limit > usual and p_value >= FAIL_BELOW and with_load**2 > HIDING and moved > fit.law.std_of((0.0, 1.0)):
+    if limit > usual and check.passed and with_load**2 > HIDING and moved > fit.law.std_of((0.0, 1.0)):
         text = (
             f"Load and temperature go together (correlation {with_load:+.2f}, {span:.0f} K): a usual {UM * usual:.2g} "
             f"um/K may not show, and moves the slope by {UM * moved:.2g} um/N; drive light and heavy warm and cold."
         )
-        return replace(fit, checks=(*fit.checks, Check("temperature", FAILED, text)))
-    if np.isinf(sd):
+        check = Check("temperature", FAILED, text)
+    elif np.isinf(sd):
         return fit
-    sentences = (
-        f"The radius follows the temperature by no more than {UM * limit:.2g} um/K, if at all.",
-        f"The radius follows the temperature by {UM * slope:+.2g} um/K over {span:.0f} K driven: a law of the load "
-        "alone is off by that on a warmer or colder day; 'calib diagnose' says whether it is the temperature or "
-        "something that correlates with it, and corrects it.",
-    )
-    check = tested("temperature", statistic, f"t({dof:.0f})", p_value, sentences, fails=True)
     return replace(fit, checks=(*fit.checks, check))
 
 

@@ -1,10 +1,9 @@
 """The radius law of a wheel, effective radius against load: coefficients, covariance by stratum, and intervals.
 
-An estimate whose variance is V_between + V_within (sessions, and runs within sessions), each known only by an
-independent multiple of chi-squared, has no exact t. Satterthwaite's degrees of freedom, estimated from the same few
-sessions, cover too little (93 to 94 % with five). Here the critical value is a function of the observed share of
-V_between that covers as stated for every true share (Trickett and Welch, Biometrika 41 (1954) 361). Where one part
-vanishes it is Student's t of the other.
+A sum of two variances, of sessions and of runs within them, each known by a multiple of chi-squared, has no exact t;
+Satterthwaite's degrees of freedom cover 93 to 94 % with five sessions. The critical value here is a function of the
+observed share of the sessions that covers as stated for every true share (Trickett and Welch, Biometrika 41 (1954)
+361); where one part vanishes it is Student's t of the other.
 """
 
 from collections.abc import Sequence
@@ -43,7 +42,7 @@ LARGEST_DOF: Final = 1e6
 class WheelLaw:
     """Linear law of one wheel, r_e(F) = radius_ref + slope (F - reference_load).
 
-    The sign of the slope is data: bonded solid rubber can do either.
+    Of bonded solid rubber the slope can have either sign.
     """
 
     reference_load_N: float
@@ -111,10 +110,7 @@ class WheelLaw:
 
 
 def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
-    """Return the 97.5 % quantile of one Student variate, or a sum of two independent ones, each times its scale.
-
-    Wider than the Welch-Satterthwaite factor, which forgets that both standard deviations were estimated.
-    """
+    """Return the 97.5 % quantile of one Student variate, or a sum of two independent ones, each times its scale."""
     from scipy.optimize import brentq
     from scipy.special import stdtr
 

@@ -1,10 +1,9 @@
 """How much longer than S_O each wheel's path was, run by run, and with which uncertainty (Fig. 8).
 
-The weave about the line comes from the log: the wheels' paths give the heading against distance rolled. A steady arc
-and wheels whose radii differ from those assumed are both a straight trend in it. So the trend is fitted together with
-the weave and taken for unequal radii, and only what the counts show about it is path; a heading measured at the end
-adds the arc. Weaves begin and end flatter: both ends count little in the fit, and a net turn within its own uncertainty
-is not corrected.
+The wheels' paths in the log give the heading against distance rolled. A steady arc and radii that differ from those
+assumed are both a straight trend in it: it is fitted with the weave and taken for unequal radii; a heading measured at
+the end adds the arc. Weaves begin and end flatter: both ends count little in the fit, and a net turn within its own
+uncertainty is not corrected.
 """
 
 from collections.abc import Iterator

@@ -333,8 +333,8 @@ def independent_line(ols: "RegressionResults", x: FloatArray | None = None) -> L
 def paired_law(left: WheelFit, right: WheelFit, groups: sessions.Groups) -> RadiusLaw:
     """Return the law of both wheels with the covariance between them.
 
-    Rangefinder and day are the same for both. The correlation is that of paired residuals, of runs and of sessions: the
-    mean of both radii, or their difference, has the variance that it shows if fitted by itself.
+    The correlation is that of paired residuals, of runs and of sessions: the mean of both radii, or their difference,
+    has the variance that it shows if fitted by itself.
     """
     wheels, estimates = (left, right), (left.estimate, right.estimate)
     weight = np.sqrt(1.0 / (sessions.WORKING_RATIO + 1.0 / groups.sizes))

@@ -1,13 +1,12 @@
 """Regression of runs that come in sessions: what is known within sessions, and what only between them.
 
-Runs of one session share what shifted that day (temperature, a remounted rangefinder, wear). A radius is
-``a + b x + session + run``; both kinds of scatter are estimated from their own stratum, so the intervals hold whether
-or not sessions scatter; see `calib.radius.law`.
+A radius is ``a + b x + session + run``; both kinds of scatter are estimated from their own stratum, so the intervals
+hold whether or not sessions scatter; see `calib.radius.law`.
 
-Runs that follow each other and scatter alike tell less than independent ones. The residuals of a session are taken as a
-first-order autoregression, ``corr(e_i, e_j) = rho^|i - j|``. ``rho`` is estimated from their lag-one autocorrelation,
-freed of the bias that the fitted mean and line give it; where it is significant, the covariance of the runs' stratum is
-that of the same least-squares estimates under it, with Satterthwaite's degrees of freedom.
+The residuals of a session are a first-order autoregression, ``corr(e_i, e_j) = rho^|i - j|``; ``rho`` comes from their
+lag-one autocorrelation, freed of the bias that the fitted mean and line give it. Where it is significant, the
+covariance of the runs' stratum is that of the same least-squares estimates under it, with Satterthwaite's degrees of
+freedom.
 """
 
 from collections.abc import Callable

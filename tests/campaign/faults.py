@@ -312,7 +312,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("steered_by_itself", "steered_by_itself", "suspicious", steered_by_itself, ""),
     ("unused_slopes", "unused_slopes", "suspicious", _law_of_others, ""),
     ("log_speed", "speed_disagrees", "suspicious", number("speed_mps", lambda v: v * 3.6), ""),
-    ("far_from_repeats", "far_from_repeats", "suspicious", number("distance_m", lambda d: d * 1.004, 4), "r004"),
+    ("far_from_line", "far_from_line", "suspicious", number("distance_m", lambda d: d * 1.004, 4), "r004"),
     ("pasted_rows", "pasted_row", "suspicious", _pasted, "r007"),
     ("wheel_loads", "impossible_load", "wrong", number("load_left_N", lambda _: -5.0, 4), "r004"),
     ("wheel_loads", "excess_load", "suspicious", number("load_left_N", lambda f: f * 1000, 4), "r004"),

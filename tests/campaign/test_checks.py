@@ -125,6 +125,15 @@ def test_one_load_a_session_is_said_to_be_inseparable() -> None:
     assert "cannot be told apart" in notes[0]
 
 
+@pytest.mark.parametrize("apart", [True, False])
+def test_loads_that_go_with_the_direction_are_said_to_be_inseparable(apart: bool) -> None:
+    made = campaign(logs=False)
+    out = np.arange(30) % 2 > 0 if apart else made.runs.number("payload_kg") > 75.0
+    labels = {**made.runs.labels, "direction": np.where(out, "out", "back")}
+    codes = [note.code for note in check_campaign(replace(made, runs=replace(made.runs, labels=labels))).suspicious]
+    assert codes == ([] if apart else ["ordered_load"])
+
+
 def test_columns_that_change_apart_are_left_alone() -> None:
     """Runs of a session at several temperatures, and both speeds in both directions."""
     made = warmer_each_session(campaign(), within_K=1.0)

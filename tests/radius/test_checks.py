@@ -88,6 +88,25 @@ def test_what_one_direction_does_is_in_the_slope_where_one_load_is_driven_each_w
         assert ("drive each load both ways" in check.sentence) == (level == FAILED)
 
 
+@pytest.mark.parametrize("crossed", [True, False])
+def test_drag_of_one_direction_fails_where_loads_go_with_it_and_cancels_where_not(crossed: bool) -> None:
+    """Heavy out and light back, each of two loads: the slope takes up a part of it, as stated."""
+    load, session = np.resize([300.0, 500.0, 900.0, 1100.0], 60), np.repeat(["a", "b", "c"], 20)
+    direction = np.where(np.arange(60) // 4 % 2 > 0 if crossed else load > 600.0, "out", "back")
+    run_id = np.array([f"r{run:02d}" for run in range(60)])
+    slopes = []
+    for drag in (0.0, 5e-5):
+        radius = 0.1 - 1.3e-6 * (load - 300.0) + np.random.default_rng(3).normal(0.0, 1e-5, 60)
+        fit = fit_wheel("left", load, radius + drag * (direction == "back"), session, reference_load_N=300.0)
+        (check,) = (one for one in with_checks(fit, session, direction, run_id).checks if one.name == "direction")
+        slopes.append(fit.law.slope_m_per_N)
+        assert check.level == (OK if drag == 0.0 else NOTE if crossed else FAILED)
+    assert ("cancel it" in check.sentence) == crossed
+    if not crossed:
+        moved = float(check.sentence.split("holds ")[1].split(" um/N")[0])
+        assert moved == pytest.approx(1e6 * abs(slopes[1] - slopes[0]), rel=0.3)
+
+
 def test_sessions_of_one_direction_each_tell_nothing_of_it() -> None:
     """What is left of the direction beside the sessions is rounding, and no finding."""
     session = np.repeat(["a", "b", "c"], [17, 19, 24])

@@ -14,10 +14,11 @@ from calib.campaign.checks.design import (
     cell_note,
     column_note,
     implausible_column,
+    off_line,
     robust_spread,
     turned_rad,
 )
-from calib.campaign.checks.measurements import factor_reason, odd_sessions, off_line
+from calib.campaign.checks.measurements import factor_reason, odd_sessions
 from calib.campaign.checks.poses import POSITION_UNITS
 from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS

@@ -133,6 +133,26 @@ def robust_spread(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
+#: fewer runs give no line, more nothing new
+LEAST_OF_A_LINE: Final = 8
+_MOST_OF_A_LINE: Final = 400
+
+
+def slopes_of(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the slopes of pairs of points."""
+    step = 1 + len(x) // _MOST_OF_A_LINE
+    more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (x, y))
+    return rise[more > 0.0] / more[more > 0.0]
+
+
+def off_line(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return `y` less its line in `x` by median slopes (Theil and Sen), of few runs less the median."""
+    known = np.isfinite(x + y)
+    slopes = slopes_of(x[known], y[known]) if known.sum() >= LEAST_OF_A_LINE else np.zeros(0)
+    line = np.median(slopes) * np.where(np.isnan(x), np.median(x[known]), x) if len(slopes) else np.zeros(len(x))
+    return y - line - (np.median((y - line)[known]) if known.any() else 0.0)
+
+
 def partial_slope(
     measured: FloatArray, counted: FloatArray, nuisance: FloatArray, least: float = 0.0
 ) -> tuple[float, float, float]:
@@ -247,11 +267,21 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
         text = """all runs are of one session, so that what shifts from session to session cannot be told: 'calib fit'
             holds such a law doubtful; drive two loads or more in another session"""
         yield column_note("session", text, "one_session")
-    session, order = campaign.runs.label("session"), np.arange(float(len(label)))
-    if any(along_load(load, order, session)[0] ** 2 > HIDING for load in both_sides(campaign, "load_{}_N")):
-        text = """the loads rise or fall with the order driven, so that warming up and the effect of the load cannot be
-            told apart; drive some loads again at the end, or in mixed order"""
-        yield column_note("order and load", text, "ordered_load")
+    session, loads = campaign.runs.label("session"), both_sides(campaign, "load_{}_N")
+    for name, values, cause, remedy in (
+        ("order", np.arange(float(len(label))), "warming up", "loads in mixed order"),
+        ("direction", way(campaign.runs.label("direction")), "drag one way", "each load both ways"),
+    ):
+        if any(along_load(load, values, session)[0] ** 2 > HIDING for load in loads):
+            text = f"""the loads go with the {name} driven, so that {cause} and the effect of the load cannot be told
+                apart; drive {remedy}"""
+            yield column_note(f"{name} and load", text, "ordered_load")
+
+
+def way(direction: StrArray) -> FloatArray:
+    """Return 1 for runs driven out, -1 for runs driven back, NaN for others."""
+    name = np.char.lower(direction)
+    return np.where(name == "out", 1.0, np.where(name == "back", -1.0, np.nan))
 
 
 def along_load(load_N: FloatArray, values: FloatArray, session: StrArray) -> tuple[float, float]:
@@ -272,14 +302,14 @@ _CHANGED: Final = {"load": 20.0, "speed": 0.02, "temperature": 2.0, "order of th
 
 def columns_as_one(campaign: Campaign) -> Iterator[Note]:
     """Say where two of load, speed, temperature, order of the sessions and direction change together."""
-    runs, way = campaign.runs, np.char.lower(campaign.runs.label("direction"))
+    runs = campaign.runs
     _, first, session = np.unique(runs.label("session"), return_index=True, return_inverse=True)
     values = (
         both_sides(campaign, "load_{}_N").sum(axis=0),
         np.abs(runs.number("speed_mps")),
         runs.number("temperature_C"),
         np.argsort(np.argsort(first))[session].astype(float),
-        np.where(way == "out", 0.0, np.where(way == "back", 1.0, np.nan)),
+        way(runs.label("direction")),
     )
     for (one, a), (other, b) in combinations(zip(_CHANGED, values, strict=True), 2):
         known = np.isfinite(a + b)
@@ -311,35 +341,6 @@ def few_loads(campaign: Campaign) -> Iterator[Note]:
         number = len(np.unique(np.round(load[np.isfinite(load)] / 5.0)))
         if number in _FEW_LOADS:
             yield column_note(f"load_{side}_N", f"{_FEW_LOADS[number]}; drive three loads or more", "few_loads")
-
-
-#: a radius this many spreads from its replicates is reported
-_OUTLIER_SPREADS: Final = 6.0
-
-
-def far_from_repeats(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose radius lies far from runs of the same kind, load and speed."""
-    runs = campaign.runs
-    alike = zip(runs.label("kind"), load_label(campaign), np.round(runs.number("speed_mps"), 3), strict=True)
-    groups = [members for _, members in groups_of(np.asarray([f"{k}|{w}|{v:g}" for k, w, v in alike]))]
-    for side in SIDES:
-        ratio = raw_radius_ratio(campaign, side)
-        ratio = np.where(np.abs(np.abs(ratio) - 1) < 0.15, ratio, np.nan)
-        away = np.full(len(ratio), np.nan)
-        for members in groups:
-            members = members[np.isfinite(ratio[members])]
-            if len(members) >= 3:
-                away[members] = ratio[members] - np.median(ratio[members])
-        known = np.isfinite(away)
-        if known.sum() < 5:
-            continue
-        # the rangefinder's share keeps exact data from flagging their last digit
-        noise = campaign.rangefinder.sigma_m / float(np.nanmedian(runs.number("distance_m")))
-        spread = max(robust_spread(away[known]) * 1.2, noise)
-        for run in np.flatnonzero(known & (np.abs(np.nan_to_num(away)) > _OUTLIER_SPREADS * spread)):
-            text = f"""the {side} radius lies {100 * away[run]:+.3f} % from its repeats, {abs(away[run]) / spread:.0f}
-                times their spread; look for slip, a wrong distance or load, and set excluded with a reason if found"""
-            yield cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_repeats")
 
 
 #: no two runs agree by chance in all values to this share of the uncertainty; rounded anew, the same values do

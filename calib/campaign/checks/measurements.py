@@ -7,7 +7,17 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.checks import design
-from calib.campaign.checks.design import LEAST_RUNS, SIDES, both_sides, cell_note, column_note, implausible_column
+from calib.campaign.checks.design import (
+    LEAST_OF_A_LINE,
+    LEAST_RUNS,
+    SIDES,
+    both_sides,
+    cell_note,
+    column_note,
+    implausible_column,
+    off_line,
+    slopes_of,
+)
 from calib.campaign.checks.settings import MOST_ODD
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
@@ -169,11 +179,12 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
         yield column_note(_LOADS, text, "missing_load")
 
 
-#: fewer runs give no line of load against payload, more nothing new
-_LEAST_OF_A_LINE: Final = 8
-_MOST_OF_A_LINE: Final = 400
 #: so many spreads off that line are no scatter of the payload's place
 _LOAD_SPREADS: Final = 6.0
+#: so many runs off to one side are no chance (2 in 2 to the power of 8)
+_TO_ONE_SIDE: Final = 8
+#: a centre of mass and a payload are placed within 1 to 2 cm on a metre
+_STATICS: Final = 0.02
 #: share of a weight on two rear wheels, wherever it lies: a fifth to all, and scales 5 % off
 _REAR_SHARE: Final = (0.2, 1.05)
 
@@ -194,11 +205,19 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     allowed = _allowed(computed.sum(axis=0))
     off = np.asarray((np.abs(weighed - computed) > allowed).any(axis=0))
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
-    if off.sum() > max(3, design.MOST_OF_THE_RUNS * np.isfinite(weighed + computed).all(axis=0).sum()):
+    more, known = (weighed.sum(axis=0) > computed.sum(axis=0))[off], np.isfinite(weighed + computed).all(axis=0)
+    whole = off.sum() > max(3, design.MOST_OF_THE_RUNS * known.sum())
+    whole |= len(more) >= _TO_ONE_SIDE and more.mean() in {0.0, 1.0}
+    of = off if whole else known & (computed > 0.0).all(axis=0)
+    ratios = (weighed / computed)[:, of]
+    alike = design.stated(campaign, "vehicle.mass_kg") and not off.any() and of.sum() >= LEAST_OF_A_LINE
+    spreads = (_LOAD_SPREADS * design.robust_spread(ratio) for ratio in ratios)
+    if whole or (alike and (np.abs(np.median(ratios, axis=1) - 1.0) > np.maximum(_STATICS, [*spreads])).any()):
         hint, code = _SWAPPED if swapped.sum() > design.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
-        ratio = np.median((weighed.sum(axis=0) / computed.sum(axis=0))[off])
-        text = f"in {int(off.sum())} runs the loads are {ratio:.3g} times those of vehicle and payload in sum; {hint}"
-        yield column_note(f"{_LOADS}, payload_kg", text, code)
+        left, right = np.median(ratios, axis=1)
+        text = f"""in {ratios.shape[1]} runs ({design.listed(runs.run_id[of])}) left and right loads are {left:.4g} and
+            {right:.4g} times those of vehicle and payload; {hint}"""
+        yield column_note(f"{_LOADS}, payload_kg", text, code, "suspicious" if whole else "info")
         return
     for run in np.flatnonzero(off):
         hint, code = _SWAPPED if swapped[run] else _CONTRADICTED
@@ -206,20 +225,6 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
             {computed[0, run]:.0f} and {computed[1, run]:.0f} N; {hint}"""
         yield cell_note(campaign, run, _LOADS, text, code)
     yield from _off_the_line(campaign, np.where(np.isfinite(computed.sum(axis=0)), np.nan, weighed.sum(axis=0)))
-
-
-def _slopes(x: FloatArray, y: FloatArray) -> FloatArray:
-    step = 1 + len(x) // _MOST_OF_A_LINE
-    more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (x, y))
-    return rise[more > 0.0] / more[more > 0.0]
-
-
-def off_line(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return `y` less its line in `x` by median slopes (Theil and Sen), of few runs less the median."""
-    known = np.isfinite(x + y)
-    slopes = _slopes(x[known], y[known]) if known.sum() >= _LEAST_OF_A_LINE else np.zeros(0)
-    line = np.median(slopes) * np.where(np.isnan(x), np.median(x[known]), x) if len(slopes) else np.zeros(len(x))
-    return y - line - (np.median((y - line)[known]) if known.any() else 0.0)
 
 
 def _unit_of_shares(shares: FloatArray) -> str:
@@ -232,7 +237,7 @@ def _unit_of_shares(shares: FloatArray) -> str:
 
 def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
     known = np.isfinite(payload + total)
-    slopes = _slopes(payload[known], total[known])
+    slopes = slopes_of(payload[known], total[known])
     if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
         text = f"""each kg of payload adds {np.median(slopes):.3g} N to both wheels in sum; expected
             {_REAR_SHARE[0] * GRAVITY_MPS2:.2g} to {GRAVITY_MPS2:g} N; are they in {unit}?"""
@@ -242,7 +247,7 @@ def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     payload = campaign.runs.number("payload_kg")
     runs = np.flatnonzero(np.isfinite(total + payload))
-    if len(runs) < _LEAST_OF_A_LINE:
+    if len(runs) < LEAST_OF_A_LINE:
         return
     away = off_line(payload[runs], total[runs])
     expected = total.copy()

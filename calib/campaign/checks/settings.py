@@ -12,11 +12,9 @@ from calib.campaign.read import CLOSED, log_totals
 from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
-#: both radii further from nominal, alike to `ALIKE`, are a setting rather than two worn wheels
+#: a worn wheel is a per cent off nominal; both further off to one side are a setting, and further still another wheel
+#: (a published robot rolls 6 % short)
 FAR_FROM_NOMINAL: Final = 0.012
-ALIKE: Final = 0.003
-#: further off, it is another wheel (a published robot rolls 6 % short of nominal), which the check of plausible radii
-#: says
 MOST_FAR: Final = 0.05
 #: a clock in other units makes a log so many times faster or slower
 CLOCK_FACTORS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
@@ -52,11 +50,12 @@ def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
         return
     over_model = np.stack([_over_model(campaign, side) for side in SIDES])
     for whose, radii in (("nominal one", ratios), ("model's", ratios * over_model)):
-        left, right = np.nanmedian(radii, axis=1)
-        if abs(left - right) < ALIKE and FAR_FROM_NOMINAL < abs(left - 1.0) < MOST_FAR:
-            text = f"""both wheels roll as if their radius were {100 * (left - 1):+.2g} % off the {whose}; expected
-                within {100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the nominal radius"""
-            yield setting_note("encoder and vehicle", text, "counts_per_rev")
+        left, right = np.nanmedian(radii, axis=1) - 1.0
+        if left * right > 0.0 and FAR_FROM_NOMINAL < min(abs(left), abs(right)) < MOST_FAR:
+            text = f"""both wheels roll as if their radii were {100 * left:+.2g} % and {100 * right:+.2g} % off the
+                {whose}; expected within {100 * FAR_FROM_NOMINAL:.2g} %; check counts_per_rev, a gear ratio, and the
+                nominal radius"""
+            yield setting_note("encoder and vehicle", text, "count_scale" if radii is ratios else "counts_per_rev")
             return
 
 
@@ -159,7 +158,8 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     known, apart, _ = _apart_rad(campaign, senses)
     for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
         if len(of := runs[known[runs]]) >= LEAST_RUNS and (
-            words := _made_good(np.median(apart[:, of], axis=1), senses)
+            words := _made_good(np.median(np.abs(apart[:, of]), axis=1), senses)
+            or _made_good(_of_straight_runs(campaign, apart, of), senses, 10.0 * campaign.reference.sigma_theta_rad)
         ):
             text = f"in {where} counts and headings are {words}"
             columns = f"{design.wheel_columns(campaign)}, ref_theta_rad"
@@ -173,6 +173,7 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
     campaign = design.on_axle(campaign)
     senses = _STEERED_SENSES if odometry_source(campaign) in STEERED else _SENSES
     known, apart, turned = _apart_rad(campaign, senses)
+    apart = np.abs(apart)
     by = np.array([each for *_, each, _ in senses])[apart.argmin(axis=0)]
     near = np.flatnonzero(known & (apart.min(axis=0) < _SINGLE_RAD + _SINGLE_SHARE * np.abs(by * turned)))
     told = {run: words for run in near.tolist() if (words := _made_good(apart[:, run], senses))}
@@ -192,13 +193,20 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
 def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArray, FloatArray]:
     turned = design.reference_turns(campaign)[0]
     left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
-    apart = [np.abs(by * turned - by_right * right + by_left * left) for by_left, by_right, by, _ in senses]
+    apart = [by * turned - by_right * right + by_left * left for by_left, by_right, by, _ in senses]
     return np.isfinite(turned + left + right), np.array(apart), turned
 
 
-def _made_good(apart_rad: FloatArray, senses: Senses) -> str:
+def _of_straight_runs(campaign: Campaign, apart: FloatArray, of: IntArray) -> FloatArray:
+    # scatter about what the loads make of it
+    distance, loads = campaign.runs.number("distance_m")[of], design.both_sides(campaign, "load_{}_N")[:, of]
+    spreads = [design.robust_spread(design.off_line(loads[0] - loads[1], one[of] / distance)) for one in apart]
+    return np.array(spreads) * np.nanmax(distance, initial=0.0)
+
+
+def _made_good(apart_rad: FloatArray, senses: Senses, least: float = _APART_RAD) -> str:
     best = int(np.argmin(apart_rad))
-    if apart_rad[0] <= _APART_RAD or apart_rad[best] >= _MADE_GOOD * apart_rad[0]:
+    if apart_rad[0] <= least or apart_rad[best] >= _MADE_GOOD * apart_rad[0]:
         return ""
     return f"{apart_rad[0]:.3g} rad apart, or {apart_rad[best]:.2g} if {senses[best][-1]}"
 
@@ -299,3 +307,30 @@ def late_logs(campaign: Campaign) -> Iterator[Note]:
             text = f"""the table counts {usual:+.0f} against the logs in every run: the logs begin or end at another
                 place than the distance; let the log begin before the vehicle moves"""
             yield column_note(f"counts_{side}", text, "late_logs")
+
+
+#: a radius this many spreads off is reported
+_OUTLIER_SPREADS: Final = 6.0
+
+
+def far_from_line(campaign: Campaign) -> Iterator[Note]:
+    """Find runs whose radius lies far from the line by load of their kind."""
+    for side in SIDES:
+        ratio, load = raw_radius_ratio(campaign, side), campaign.runs.number(f"load_{side}_N")
+        load = load if np.isfinite(load).any() else np.zeros(len(load))
+        ratio = np.where(np.abs(np.abs(ratio) - 1) < 0.15, ratio, np.nan)
+        away = np.full(len(ratio), np.nan)
+        for _, of in design.groups_of(campaign.runs.label("kind")):
+            of = of[np.isfinite(ratio + load)[of]]
+            if len(of) >= design.LEAST_OF_A_LINE:
+                x = load[of] - load[of].mean()
+                # a load far from the others' draws its line
+                away[of] = design.off_line(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
+        # the rangefinder's share keeps short runs, and exact data, from flagging their last digit
+        noise = campaign.rangefinder.sigma_m / campaign.runs.number("distance_m")
+        spread = np.maximum(design.robust_spread(away) * 1.2, noise)
+        for run in np.flatnonzero(np.abs(away) > _OUTLIER_SPREADS * spread):
+            text = f"""the {side} radius lies {100 * away[run]:+.3f} % from the others' line by load,
+                {abs(away[run]) / spread[run]:.0f} times their spread; look for slip, a wrong distance or load, or a law
+                that bends"""
+            yield design.cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_line")

@@ -102,3 +102,34 @@ def test_the_unit_of_a_distance_beyond_the_rangefinder_is_told_by_the_wheels(fac
     found = [note.text for note in distance_span(with_numbers(made, distance_m=longer))]
     assert len(found) == 6
     assert all(unit in text for text in found)
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "off_N", "level"),
+    [
+        (1.05, 1.05, 0.0, "info"),
+        (0.96, 1.0, 0.0, "info"),
+        (1.015, 1.015, 0.0, ""),
+        (1.0, 1.0, 90.0, "suspicious"),
+        (1.12, 1.0, 0.0, "suspicious"),
+    ],
+)
+def test_loads_that_are_off_alike_are_told_once(left: float, right: float, off_N: float, level: str) -> None:
+    """Of a few per cent, within which a vehicle's statics are known, it is a remark; beyond, a finding of all runs."""
+    made = campaign(logs=False)
+    loads = (made.runs.number(f"load_{side}_N") * by for side, by in (("left", left), ("right", right)))
+    spoilt = with_numbers(made, load_left_N=next(loads) + off_N, load_right_N=next(loads))
+    found = list(loads_against_payload(spoilt))
+    assert [note.level for note in found] == [level] * bool(level)
+    assert not found or off_N or f"{left:.4g}"[:4] in found[0].text
+    assert not any(note.run_id for note in found)
+
+
+def test_loads_that_scatter_or_that_nobody_described_are_no_finding_of_all_runs() -> None:
+    """Off by 6 % either way they are single runs at most, and a vehicle that was assumed asks for nothing."""
+    made = campaign(logs=False)
+    by = 1.0 + 0.06 * np.random.default_rng(3).standard_normal(len(made.runs))
+    left = made.runs.number("load_left_N")
+    assert all(note.run_id for note in loads_against_payload(with_numbers(made, load_left_N=by * left)))
+    scaled = with_numbers(made, load_left_N=1.04 * left)
+    assert list(loads_against_payload(replace(scaled, assumed=("vehicle.mass_kg",)))) == []

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calib.campaign.check import check_campaign
 from calib.campaign.checks.counts import turn_direction
-from calib.campaign.checks.settings import heading_turns, implausible_senses, odd_runs
+from calib.campaign.checks.settings import counts_per_revolution, heading_turns, implausible_senses, odd_runs
 from calib.campaign.model import Campaign
 from tests.campaign.making import with_numbers
 from tests.kinematics.campaigns import Truth, campaign, square
+from tests.radius.campaigns import straight
 
 #: runs of 4 rad to either side, and squares of whole turns
 ROUTES = [
@@ -26,6 +28,43 @@ def _driven() -> Campaign:
     made = campaign(ROUTES * 6, Truth(), np.random.default_rng(1), walk=1e-3)
     made.runs.labels["session"] = SESSIONS  # type: ignore[index]
     return made
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.003, 0.005, 0.01, 0.02])
+@pytest.mark.parametrize(("off", "named"), [(0.04, True), (0.025, True), (-0.025, True), (0.0, False), (0.08, False)])
+def test_both_radii_off_to_one_side_are_a_setting_whatever_they_differ_by(
+    apart: float, off: float, named: bool
+) -> None:
+    """Wear takes a wheel or two off nominal; a wrong count takes both, and nothing is said of a radius assumed."""
+    load = np.linspace(300.0, 900.0, 12)
+    radius = 0.1 * (1.0 + off - 1e-5 * (load - 600.0))
+    made = straight(radius * (1.0 + apart / 2), radius * (1.0 - apart / 2), load)
+    found = [note.code for note in counts_per_revolution(made)]
+    assert found == ["count_scale"] * named
+    assert not list(counts_per_revolution(replace(made, assumed=("vehicle.wheel_radius_m",))))
+
+
+def _along_a_line(seed: int, *, by: float = 1.0, noise: float = 8e-4) -> Campaign:
+    """Nearly straight runs whose end headings are given in units of `by`, of wheels that loads tell apart."""
+    rng = np.random.default_rng(seed)
+    load, other, length = rng.uniform(300.0, 1100.0, (3, 30))
+    turned, length = 5e-3 * rng.standard_normal(30), 25.0 + length / 80.0
+    made = straight(0.1 - 1e-6 * load, 0.1 - 1e-6 * other, load)
+    columns = {"ref_theta_rad": by * (turned + noise * rng.standard_normal(30)), "distance_m": length}
+    for side, sense in (("left", -1.0), ("right", 1.0)):
+        rolled = (length + sense * 0.35 * turned) * (1.0 + 1e-4 * rng.standard_normal(30))
+        columns[f"counts_{side}"] = made.runs.number(f"counts_{side}") / 40.0 * rolled
+    return with_numbers(made, load_right_N=other, **columns)
+
+
+def test_headings_of_straight_runs_in_degrees_are_named_by_their_scatter() -> None:
+    """As rad they are a quarter of a radian off what wheels and loads say; those of another sign or coarse are not."""
+    for seed in range(10):
+        (note,) = implausible_senses(_along_a_line(seed, by=180.0 / math.pi))
+        assert "ref_theta_deg" in note.text
+        assert not list(implausible_senses(_along_a_line(seed)))
+        assert not list(implausible_senses(_along_a_line(seed, by=-1.0)))
+        assert not list(implausible_senses(_along_a_line(seed, noise=0.01)))
 
 
 def _wrapped(heading: np.ndarray) -> np.ndarray:
