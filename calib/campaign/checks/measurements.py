@@ -181,7 +181,7 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
 
 #: so many spreads off that line are no scatter of the payload's place
 _LOAD_SPREADS: Final = 6.0
-#: so many runs off to one side are no chance (2 in 2 to the power of 8)
+#: runs off to one side, no chance (2 in 2^8)
 _TO_ONE_SIDE: Final = 8
 #: a centre of mass and a payload are placed within 1 to 2 cm on a metre
 _STATICS: Final = 0.02
