@@ -310,7 +310,7 @@ def late_logs(campaign: Campaign) -> Iterator[Note]:
             yield column_note(f"counts_{side}", text, "late_logs")
 
 
-#: a radius this many spreads off is reported
+#: beyond, a radius is reported
 _OUTLIER_SPREADS: Final = 6.0
 
 
