@@ -243,7 +243,7 @@ def tested(
 
 
 def by_t(name: str, slope: float, sd: float, dof: float, sentences: tuple[str, str], *, fails: bool = False) -> Check:
-    """Return the check of a slope by its standard error and Student's t; see `tested`."""
+    """Return the check of a slope by Student's t; see `tested`."""
     statistic = slope / sd if sd > 0.0 else 0.0
     return tested(name, statistic, f"t({dof:.3g})", p_of_t(statistic, dof), sentences, fails=fails)
 

@@ -223,7 +223,7 @@ def _weave(radii: EffectiveRadii, wheels: list[WheelFit]) -> Iterator[Check]:
     times = max(1.0 - share, 0.0) ** 0.5
     moved = UM * share * float(excess.mean()) * wheels[0].law.radius_ref_m
     sentences = (
-        "What the law leaves does not follow the weave.",
+        "The law leaves nothing of the weave.",
         f"What the law leaves follows the weave as if its amplitude were {times:.2g} times the one stated, which moves "
         f"the radii by {moved:+.2g} um: amplitude_m is half of peak to peak; check it.",
     )

@@ -181,9 +181,9 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
 
 #: so many spreads off that line are no scatter of the payload's place
 _LOAD_SPREADS: Final = 6.0
-#: so many runs off to one side are no chance (2 in 2 to the power of 8)
+#: runs off to one side, no chance (2 in 2^8)
 _TO_ONE_SIDE: Final = 8
-#: a centre of mass and a payload are placed within 1 to 2 cm on a metre
+#: a centre of mass is placed within 1 to 2 cm on a metre
 _STATICS: Final = 0.02
 #: share of a weight on two rear wheels, wherever it lies: a fifth to all, and scales 5 % off
 _REAR_SHARE: Final = (0.2, 1.05)

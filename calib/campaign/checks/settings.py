@@ -159,7 +159,7 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
         if len(of := runs[known[runs]]) >= LEAST_RUNS and (
             words := _made_good(np.median(np.abs(apart[:, of]), axis=1), senses)
-            or _made_good(_of_straight_runs(campaign, apart, of), senses, 10.0 * campaign.reference.sigma_theta_rad)
+            or _in_degrees(campaign, apart, of, senses)
         ):
             text = f"in {where} counts and headings are {words}"
             columns = f"{design.wheel_columns(campaign)}, ref_theta_rad"
@@ -197,11 +197,12 @@ def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArra
     return np.isfinite(turned + left + right), np.array(apart), turned
 
 
-def _of_straight_runs(campaign: Campaign, apart: FloatArray, of: IntArray) -> FloatArray:
-    # scatter about what the loads make of it
+def _in_degrees(campaign: Campaign, apart: FloatArray, of: IntArray, senses: Senses) -> str:
+    # of straight runs, by their scatter about what the loads make of it
     distance, loads = campaign.runs.number("distance_m")[of], design.both_sides(campaign, "load_{}_N")[:, of]
-    spreads = [design.robust_spread(design.off_line(loads[0] - loads[1], one[of] / distance)) for one in apart]
-    return np.array(spreads) * np.nanmax(distance, initial=0.0)
+    away = [design.off_line(loads[0] - loads[1], apart[at, of] / distance) for at in (0, -1)]
+    spreads = np.array([*map(design.robust_spread, away)]) * np.nanmax(distance, initial=0.0)
+    return _made_good(spreads, (senses[0], senses[-1]), 10.0 * campaign.reference.sigma_theta_rad)
 
 
 def _made_good(apart_rad: FloatArray, senses: Senses, least: float = _APART_RAD) -> str:
@@ -309,7 +310,7 @@ def late_logs(campaign: Campaign) -> Iterator[Note]:
             yield column_note(f"counts_{side}", text, "late_logs")
 
 
-#: a radius this many spreads off is reported
+#: beyond, a radius is reported
 _OUTLIER_SPREADS: Final = 6.0
 
 
