@@ -192,7 +192,6 @@ class _ProcessEngine(Engine):
 
 
 def _may_fork() -> bool:
-    # this process has no other thread, not even a library's
     try:
         return "fork" in get_all_start_methods() and len(list(Path("/proc/self/task").iterdir())) == 1
     except OSError:

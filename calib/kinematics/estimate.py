@@ -172,7 +172,6 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
     many = len(recording) >= ENOUGH_RUNS
     for number, segments in enumerate(finer, start=1):
         bends = many and _bends(chosen)
-        # of runs alike finer windows show more
         if many and not (bends or set(chosen.undetermined) - set(SENSOR)):
             break
         task.progress(number, 0, "fits")
@@ -299,7 +298,6 @@ def _bends(fitted: Fitted) -> bool:
 
 def _with_own_delays(task: _Task, common: Fitted, losses: FloatArray) -> tuple[Fitted, tuple[Delay, ...]]:
     if implausible_lengths(common, task.campaign.vehicle.drive):
-        # no delay makes a vehicle of these
         return common, ()
     fitted = common
     delays: tuple[Delay, ...] = ()

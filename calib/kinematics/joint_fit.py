@@ -161,7 +161,6 @@ def fit_parameters(
         else:
             uncertainty = expected(solution, parameters.free, segments.run)
         undetermined = left_open(uncertainty, parameters)
-        # two open radii may have a mean
         something = set(free) - set(undetermined) or (len(radii) > 1 and MEAN_RADIUS not in undetermined)
         if not undetermined or (parameters.pulled and something):
             return Fitted(model, parameters, solution, uncertainty, (*undetermined, *never), recording)

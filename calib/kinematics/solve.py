@@ -193,7 +193,6 @@ def solve(
         if number >= noise_rounds - 1 and sigmas < CLOSE:
             converged = True
             break
-        # a step of nothing is as long as it may be
         part = LONGEST / max(float(np.max(np.abs(spreads), initial=0.0)), LONGEST)
         least_part = CLOSE / max(sigmas, CLOSE) / part
         advanced = _advance(model, (values, prediction), part * step, least_part, whitener, nominal)

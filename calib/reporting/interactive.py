@@ -215,7 +215,6 @@ def _along_panel(source: ColumnDataSource, name: str) -> figure:
 
 def _cause_panel(verdict: Diagnosis) -> figure:
     causes = verdict.causes[::-1]
-    # in words: a small share can be read
     sizes = [f"{percent(cause.share)}, probability {percent(cause.probability)}" for cause in causes]
     labels = [f"{_with_aliases(cause.effect, verdict)}\n{size}" for cause, size in zip(causes, sizes, strict=True)]
     plot = _figure("Causes: share of the gap", "share of the gap", "", y_range=labels, x_range=(0.0, 1.05))

@@ -239,6 +239,5 @@ class AnySpeed(SpeedRadius):
         number = np.zeros(len(speed))
         number[order[1:]] = np.cumsum(beyond)
         steps = [np.asarray(number == k, dtype=np.float64) for k in range(1, int(number.max()) + 1)]
-        # as large as a difference between directions may be
         parameters = (Parameter("step", "1", typical=1e-3, largest=5e-3),) * len(steps)
         return [*line, Form(self.id, "any", parameters, lambda path: [acting_on(path, "both", step) for step in steps])]

@@ -200,7 +200,6 @@ def heading_by_straightness(
     with np.errstate(divide="ignore", invalid="ignore"):
         stated = 2 * np.pi * np.abs(amplitude_m) / wavelength_m
         assumed = 2 * np.pi * ASSUMED_LATERAL_M / np.maximum(way_m, ASSUMED_LATERAL_M)
-    # each end adds the wave's root mean square
     seen = np.sqrt(2.0) * weave_rad
     has_stated, has_seen = np.isfinite(stated) & (stated > 0), np.isfinite(weave_rad)
     sigma = np.where(has_stated, stated, np.where(has_seen, np.maximum(seen, 0.1 * assumed), assumed))

@@ -201,7 +201,6 @@ def document(source: Source, stated: Certificate) -> Element:
             if np.isfinite(ranges.get(name, np.nan)).all()
         ],
         "radii": {name: _radii(wheel, fit) for name, wheel in fit.wheels.items()},
-        # of the ellipse of both coefficients
         "factors": {name: math.sqrt(2.0 * float(f.ppf(COVERAGE, 2, w.law.dof))) for name, w in fit.wheels.items()},
     }
     template = templates_of(__package__, markup=True).get_template("dcc.xml.j2")

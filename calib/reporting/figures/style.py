@@ -76,7 +76,6 @@ def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str],
     """Put one legend outside the axes, in as many columns as its longest label allows."""
     if labels:
         lengths = [len(text) + LEGEND_GAP for text in labels]
-        # one row, else columns as wide as the longest
         columns = len(labels) if sum(lengths) <= LINE_CHARACTERS else max(1, LINE_CHARACTERS // max(lengths))
         look: Any = {"loc": "outside lower center" if below else "outside upper center", "ncols": columns}
         figure.legend(handles, labels, handlelength=1.2, handletextpad=0.5, columnspacing=1.4, **look)
