@@ -52,12 +52,12 @@ def rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFi
     def rival(some: Mapping[str, Declared], fix: SimulatorFix) -> Rival:
         return Rival(frozenset(some), fix.square + len(some) * log(n_rows), some, fix)
 
-    if found is not None and len(named) == len(verdict):
-        run = [rival(named, found)] if found.square <= limit else []
+    if found is not None and len(named) == len(verdict) and found.square <= limit:
+        run = [rival(named, found)]
     else:
-        able = (some for some in (named, *_most_able(diagnosis, differences)) if some)
-        alone = ((some, run_alone(diagnosis, differences, some)) for some in able)
-        run = [*islice((rival(some, fix) for some, fix in alone if fix.square <= limit), 1)]
+        sets = [some for some in (named, *_most_able(diagnosis, differences)) if some]
+        fixes = [(some, run_alone(diagnosis, differences, some)) for some in sets]
+        run = sorted((rival(some, fix) for some, fix in fixes if fix.square <= limit), key=_score)[:1]
     for some in _neighbours(diagnosis, differences, run[0], limit) if run else ():
         fix = run_alone(diagnosis, differences, some, limit=PROMISED * limit)
         if fix.square > limit:
@@ -69,12 +69,16 @@ def rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFi
     if run and len(named) < len(verdict):
         n_sizes = sum(len(size) for _, size, _ in diagnosis.fitted.each())
         run.append(Rival(verdict, diagnosis.fitted.chi_square + n_sizes * log(n_rows), named, None))
-    run.sort(key=lambda each: each.score)
+    run.sort(key=_score)
     kept: list[Rival] = []
     for each in run:
         if each.score <= run[0].score + WINDOW and not any(better.names <= each.names for better in kept):
             kept.append(each)
     return kept
+
+
+def _score(each: Rival) -> float:
+    return each.score
 
 
 def _neighbours(
