@@ -197,8 +197,15 @@ def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArra
     return np.isfinite(turned + left + right), np.array(apart), turned
 
 
+#: wheels of unlike radii turn no further along a corridor
+_STRAIGHT_RAD: Final = 0.5
+
+
 def _in_degrees(campaign: Campaign, apart: FloatArray, of: IntArray, senses: Senses) -> str:
     # of straight runs, by their scatter about what the loads make of it
+    of = of[np.abs(design.turned_rad(campaign)[of]) < _STRAIGHT_RAD]
+    if len(of) < design.LEAST_OF_A_LINE:
+        return ""
     distance, loads = campaign.runs.number("distance_m")[of], design.both_sides(campaign, "load_{}_N")[:, of]
     away = [design.off_line(loads[0] - loads[1], apart[at, of] / distance) for at in (0, -1)]
     spreads = np.array([*map(design.robust_spread, away)]) * np.nanmax(distance, initial=0.0)

@@ -52,10 +52,12 @@ def rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFi
     def rival(some: Mapping[str, Declared], fix: SimulatorFix) -> Rival:
         return Rival(frozenset(some), fix.square + len(some) * log(n_rows), some, fix)
 
-    if found is not None and len(named) == len(verdict) and found.square <= limit:
-        run = [rival(named, found)]
-    else:
-        sets = [some for some in (named, *_most_able(diagnosis, differences)) if some]
+    pure = found is not None and len(named) == len(verdict)
+    run = [rival(named, found)] if found is not None and pure and found.square <= limit else []
+    # of a simulator that scatters more than noise may be its own
+    if not run and (not pure or differences.repeats == 1):
+        able = [some for some in _most_able(diagnosis, differences) if some.keys() != named.keys()]
+        sets = [*able, named] if named and not pure else able
         fixes = [(some, run_alone(diagnosis, differences, some)) for some in sets]
         run = sorted((rival(some, fix) for some, fix in fixes if fix.square <= limit), key=_score)[:1]
     for some in _neighbours(diagnosis, differences, run[0], limit) if run else ():
