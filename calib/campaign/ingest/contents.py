@@ -5,8 +5,9 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -351,3 +352,21 @@ def _match(name: str, pattern: str) -> re.Match[str] | None:
     parts = re.split(r"(\{[a-z][^}]*\}|\*)", pattern)
     form = "".join(_PARTS.get(part[:2] if part[:2] == "{n" else part, re.escape(part)) for part in parts)
     return re.fullmatch(form, name, re.IGNORECASE)
+
+
+def moment_of(cells: Iterable[Any]) -> tuple[str, ...]:
+    """Return the first date and time in a row's cells as digits, year or day first; nothing without both."""
+    days, second = 0, 0
+    for cell in map(str, table.filled_cells(list(cells))):
+        for text in (cell, f"{cell} 00:00"):
+            with suppress(ValueError):
+                found = divmod(table.moment_ns(text) // table.NS_PER_S, 86_400)
+                days, second = days or found[0], second or found[1]
+                break
+    moment = datetime.fromtimestamp(86_400 * days + second, UTC)
+    return (f"{moment:%Y%m%d%H%M}", f"{moment:%d%m%Y%H%M}") if days and second else ()
+
+
+def names_moment(name: str, moment: Iterable[str]) -> bool:
+    """Return whether a file's name has the date and time of `moment_of`."""
+    return any(digits in re.sub(r"\D", "", name) for digits in moment)

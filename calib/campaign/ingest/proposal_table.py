@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Final
 
 from calib.campaign.ingest import guesses
-from calib.campaign.ingest.contents import ColumnContents, FileContents, run_in, run_number
+from calib.campaign.ingest.contents import ColumnContents, FileContents, moment_of, names_moment, run_in, run_number
 from calib.campaign.ingest.guesses import direction_of, guessed_table_column, plain_text, stem_and_unit
 from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, units_for
-from calib.campaign.ingest.runs import moment_of, names_moment
 from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.readers.sheets import SECTION
 from calib.campaign.settings import WHEEL_LOADS, bracketed, recognise

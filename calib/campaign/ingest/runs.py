@@ -1,11 +1,9 @@
 """The run table under calib's names, and which file is the log of which run."""
 
 import re
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from collections.abc import Mapping as MappingType
-from contextlib import suppress
 from dataclasses import replace
-from datetime import UTC, datetime
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +11,16 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.ingest.contents import WORKBOOK, expected_name, fits_name, run_in, run_number, with_number
+from calib.campaign.ingest.contents import (
+    WORKBOOK,
+    expected_name,
+    fits_name,
+    moment_of,
+    names_moment,
+    run_in,
+    run_number,
+    with_number,
+)
 from calib.campaign.ingest.mapping import (
     OF_A_RUN,
     TABLE_COLUMNS,
@@ -27,11 +34,8 @@ from calib.campaign.model import Border, Campaign, RunTable
 from calib.campaign.readers import Layout, RawTable, read_table
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import (
-    NS_PER_S,
     comma_evidence,
-    filled_cells,
     is_filled,
-    moment_ns,
     numbers,
     object_array,
 )
@@ -291,24 +295,6 @@ def match_logs(
         raise unmatched(index, f"no source file named {name!r}, nor any of the other runs'")
     _note_unused({path for found in matched.values() for path in found.values()}, files, log, border)
     return matched, missing
-
-
-def moment_of(cells: Iterable[Any]) -> tuple[str, ...]:
-    """Return the first date and time in a row's cells as digits, year or day first; nothing without both."""
-    days, second = 0, 0
-    for cell in map(str, filled_cells(list(cells))):
-        for text in (cell, f"{cell} 00:00"):
-            with suppress(ValueError):
-                found = divmod(moment_ns(text) // NS_PER_S, 86_400)
-                days, second = days or found[0], second or found[1]
-                break
-    moment = datetime.fromtimestamp(86_400 * days + second, UTC)
-    return (f"{moment:%Y%m%d%H%M}", f"{moment:%d%m%Y%H%M}") if days and second else ()
-
-
-def names_moment(name: str, moment: Iterable[str]) -> bool:
-    """Return whether a file's name has the date and time of `moment_of`."""
-    return any(digits in re.sub(r"\D", "", name) for digits in moment)
 
 
 def sheet_of(path: Path) -> tuple[Path, str | None]:
