@@ -362,6 +362,12 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
         by_load = [distance[good] * load for load in loads if np.isfinite(load).all()]
         nuisance = np.column_stack([distance[good], *by_load])
         ratio, std, _ = design.partial_slope(theta[good], turned[good], nuisance)
+        back, back_std, _ = design.partial_slope(turned[good], theta[good], nuisance)
+        if _OPPOSED_SIGMAS * back_std < back < 1.5 * math.pi / 180.0:
+            text = f"""the counts turn {back:.3g} times as far as the headings; are these in degrees? Name the column
+                ref_theta_deg"""
+            yield implausible_column("ref_theta_rad", text)
+            return
         if not ratio < min(_OPPOSED_RATIO, -_OPPOSED_SIGMAS * std):
             return
     else:

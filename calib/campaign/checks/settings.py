@@ -159,7 +159,6 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
         if len(of := runs[known[runs]]) >= LEAST_RUNS and (
             words := _made_good(np.median(np.abs(apart[:, of]), axis=1), senses)
-            or _in_degrees(campaign, apart, of, senses)
         ):
             text = f"in {where} counts and headings are {words}"
             columns = f"{design.wheel_columns(campaign)}, ref_theta_rad"
@@ -197,24 +196,9 @@ def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArra
     return np.isfinite(turned + left + right), np.array(apart), turned
 
 
-#: wheels of unlike radii turn no further along a corridor
-_STRAIGHT_RAD: Final = 0.5
-
-
-def _in_degrees(campaign: Campaign, apart: FloatArray, of: IntArray, senses: Senses) -> str:
-    # of straight runs, by their scatter about what the loads make of it
-    of = of[np.abs(design.turned_rad(campaign)[of]) < _STRAIGHT_RAD]
-    if len(of) < design.LEAST_OF_A_LINE:
-        return ""
-    distance, loads = campaign.runs.number("distance_m")[of], design.both_sides(campaign, "load_{}_N")[:, of]
-    away = [design.off_line(loads[0] - loads[1], apart[at, of] / distance) for at in (0, -1)]
-    spreads = np.array([*map(design.robust_spread, away)]) * np.nanmax(distance, initial=0.0)
-    return _made_good(spreads, (senses[0], senses[-1]), 10.0 * campaign.reference.sigma_theta_rad)
-
-
-def _made_good(apart_rad: FloatArray, senses: Senses, least: float = _APART_RAD) -> str:
+def _made_good(apart_rad: FloatArray, senses: Senses) -> str:
     best = int(np.argmin(apart_rad))
-    if apart_rad[0] <= least or apart_rad[best] >= _MADE_GOOD * apart_rad[0]:
+    if apart_rad[0] <= _APART_RAD or apart_rad[best] >= _MADE_GOOD * apart_rad[0]:
         return ""
     return f"{apart_rad[0]:.3g} rad apart, or {apart_rad[best]:.2g} if {senses[best][-1]}"
 

@@ -12,8 +12,10 @@ import pytest
 from calib.campaign.checks.counts import implausible_paths
 from calib.campaign.checks.poses import implausible_poses, lost_reference
 from calib.campaign.model import Campaign
+from tests.campaign.making import with_numbers
 from tests.kinematics.campaigns import Truth, campaign, square
 from tests.kinematics.test_named_blunders import Columns, changed
+from tests.radius.campaigns import straight
 
 POSE = ("ref_x_m", "ref_y_m", "ref_theta_rad")
 
@@ -30,6 +32,28 @@ def test_headings_along_the_path_in_degrees_are_wrong(degrees: bool, wrapped: bo
 
     notes = [note for note in implausible_poses(changed(made, turned)) if "along the path" in note.text]
     assert [note.level for note in notes] == ["wrong"] * degrees
+
+
+def _along_a_line(seed: int, *, by: float = 1.0, noise: float = 8e-4) -> Campaign:
+    """Nearly straight runs whose end headings are given in units of `by`, of wheels that loads tell apart."""
+    rng = np.random.default_rng(seed)
+    load, other, length = rng.uniform(300.0, 1100.0, (3, 30))
+    turned, length = 2e-2 * rng.standard_normal(30), 25.0 + length / 80.0
+    made = straight(0.1 - 1e-6 * load, 0.1 - 1e-6 * other, load)
+    columns = {"ref_theta_rad": by * (turned + noise * rng.standard_normal(30)), "distance_m": length}
+    for side, sense in (("left", -1.0), ("right", 1.0)):
+        rolled = (length + sense * 0.35 * turned) * (1.0 + 1e-4 * rng.standard_normal(30))
+        columns[f"counts_{side}"] = made.runs.number(f"counts_{side}") / 40.0 * rolled
+    return with_numbers(made, load_right_N=other, **columns)
+
+
+def test_headings_of_straight_runs_in_degrees_are_named_where_counts_follow_them() -> None:
+    """A 57th as far; nothing of headings in rad, coarse ones, or wheels that show nothing of them."""
+    for seed in range(10):
+        (note,) = implausible_poses(_along_a_line(seed, by=180.0 / np.pi))
+        assert "ref_theta_deg" in note.text
+        assert not list(implausible_poses(_along_a_line(seed)))
+        assert not list(implausible_poses(_along_a_line(seed, noise=0.05)))
 
 
 @pytest.mark.parametrize(("factor", "level"), [(1.0, []), (180.0 / np.pi, ["wrong"])])

@@ -44,29 +44,6 @@ def test_both_radii_off_to_one_side_are_a_setting_whatever_they_differ_by(
     assert not list(counts_per_revolution(replace(made, assumed=("vehicle.wheel_radius_m",))))
 
 
-def _along_a_line(seed: int, *, by: float = 1.0, noise: float = 8e-4) -> Campaign:
-    """Nearly straight runs whose end headings are given in units of `by`, of wheels that loads tell apart."""
-    rng = np.random.default_rng(seed)
-    load, other, length = rng.uniform(300.0, 1100.0, (3, 30))
-    turned, length = 5e-3 * rng.standard_normal(30), 25.0 + length / 80.0
-    made = straight(0.1 - 1e-6 * load, 0.1 - 1e-6 * other, load)
-    columns = {"ref_theta_rad": by * (turned + noise * rng.standard_normal(30)), "distance_m": length}
-    for side, sense in (("left", -1.0), ("right", 1.0)):
-        rolled = (length + sense * 0.35 * turned) * (1.0 + 1e-4 * rng.standard_normal(30))
-        columns[f"counts_{side}"] = made.runs.number(f"counts_{side}") / 40.0 * rolled
-    return with_numbers(made, load_right_N=other, **columns)
-
-
-def test_headings_of_straight_runs_in_degrees_are_named_by_their_scatter() -> None:
-    """As rad they are a quarter of a radian off what wheels and loads say; those of another sign or coarse are not."""
-    for seed in range(10):
-        (note,) = implausible_senses(_along_a_line(seed, by=180.0 / math.pi))
-        assert "ref_theta_deg" in note.text
-        assert not list(implausible_senses(_along_a_line(seed)))
-        assert not list(implausible_senses(_along_a_line(seed, by=-1.0)))
-        assert not list(implausible_senses(_along_a_line(seed, noise=0.01)))
-
-
 def _wrapped(heading: np.ndarray) -> np.ndarray:
     return np.angle(np.exp(1j * heading))
 
