@@ -13,6 +13,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.decision.fix import PLAN
 from calib.gap.decision.kind import NO_GAP_SHOWN
+from calib.gap.decision.sentences import joined
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects import simulator
 from calib.gap.effects.effect import Effect, Form
@@ -117,12 +118,16 @@ def _confirmed(searched: _Search, differences: Differences, rng: np.random.Gener
     found = iterated(diagnosis, differences) if named else None
     if diagnosis.kind in NO_GAP_SHOWN:
         return diagnosis
-    rivals = rivals_of(diagnosis, differences, found)
+    rivals, unnamed = rivals_of(diagnosis, differences, found), ""
     if len(rivals) > 1 or any(each.names != frozenset(c.effect for c in diagnosis.causes) for each in rivals):
-        diagnosis, found = _told_by_runs(searched, diagnosis, differences, rivals) or (diagnosis, found)
+        if told := _told_by_runs(searched, diagnosis, differences, rivals):
+            diagnosis, found = told
+        else:
+            names = joined(sorted(next(each.names for each in rivals if each.fix is not None)), "and")
+            unnamed = f" Run by themselves {names} leave no more than noise, too: --exclude the others to ask for them."
     if found is None:
-        return without_parameter(diagnosis)
-    return fixed(diagnosis, differences, found, rng)
+        return without_parameter(diagnosis, unnamed)
+    return fixed(diagnosis, differences, found, rng, unnamed)
 
 
 def _told_by_runs(

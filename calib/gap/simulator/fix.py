@@ -61,8 +61,13 @@ def named_parameters(diagnosis: Diagnosis, differences: Differences) -> dict[str
     return {cause.effect: declared[cause.effect] for cause in diagnosis.causes if cause.effect in declared}
 
 
-def fixed(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, rng: np.random.Generator) -> Diagnosis:
-    """Return the diagnosis with what to set and the closure that the simulator shows with it; see `iterated`."""
+def fixed(
+    diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, rng: np.random.Generator, unnamed: str = ""
+) -> Diagnosis:
+    """Return the diagnosis with what to set and the closure that the simulator shows with it; see `iterated`.
+
+    `unnamed`: what is said of other parameters that close the gap, too.
+    """
     named = named_parameters(diagnosis, differences)
     values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
     nominal = diagnosis.nominal
@@ -99,7 +104,8 @@ def fixed(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, r
     )
     beside = _of_library(diagnosis)
     lacking = f" No parameter of your simulator does what {beside} of the library does." if beside else ""
-    return with_left(replace(diagnosis, sentence=f"{sentence(diagnosis)} {_what_to_set(named, values)}{lacking}"))
+    said = f"{sentence(diagnosis)} {_what_to_set(named, values)}{unnamed or lacking}"
+    return with_left(replace(diagnosis, sentence=said))
 
 
 def _farther(ran: Iterable[Trial], closure: Closure) -> Iterator[str]:
@@ -277,12 +283,14 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
     return f"{'; '.join(parts)}."
 
 
-def without_parameter(diagnosis: Diagnosis) -> Diagnosis:
-    """Return a diagnosis that names no parameter, and says so; closure on held-out runs."""
+def without_parameter(diagnosis: Diagnosis, unnamed: str = "") -> Diagnosis:
+    """Return a diagnosis that names no parameter, and says so; closure on held-out runs. `unnamed`: see `fixed`."""
     if diagnosis.kind in NO_GAP_SHOWN or any(
         name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group
     ):
         return diagnosis
+    if unnamed:
+        return replace(diagnosis, sentence=f"{diagnosis.sentence}{unnamed}")
     named = _of_library(diagnosis)
     able = "can in part" if diagnosis.kind is VerdictKind.PARTLY_EXPLAINED else "can"
     can = f"; {named} of the library {able}" if diagnosis.causes else ""
