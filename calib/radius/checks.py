@@ -8,7 +8,7 @@ from scipy.special import fdtrc, stdtr, stdtrit
 
 from calib.campaign.checks.design import HIDING, along_load, partial_slope, way
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
-from calib.radius.sessions import Groups, breusch_pagan, groups_of
+from calib.radius.sessions import Groups, breusch_pagan, groups_of, moved_by, standing_out
 from calib.types import FloatArray, StrArray, few_digits
 
 #: p-values below which a check gives a note, and the law should not be used; with some nine checks a wheel the usual
@@ -24,6 +24,8 @@ MAX_INFLUENCE_SESSIONS: Final = 100
 #: loads of sessions tried as misreported; largest share of the squares that the others then leave
 MAX_CELLS: Final = 200
 MOST_OF_SQUARES: Final = 0.1
+#: runs tried as outliers that hide each other, of a fifth of all at most: Rosner's approximation was tried for ten
+MOST_OUTLIERS: Final = 10
 #: share of the direction's squares that the load leaves: below, a variance inflation above ten (Kutner et al., 10.5)
 ALIASED, ROUNDING = 0.1, 1e-9
 #: share of the load range by which the reference load may lie outside it
@@ -149,35 +151,34 @@ def _equal_scatter(runs: _Residuals) -> Check:
 
 
 def _influence(runs: _Residuals) -> Check | None:
-    n, dof = len(runs.x), runs.dof
-    total = float(runs.residual_m @ runs.residual_m)
-    if dof < 3 or total <= 0:
+    n, fit = len(runs.x), runs.fit
+    if runs.dof < 3 or float(runs.residual_m @ runs.residual_m) <= 0:
         return None
-    slack = dof / n
-    # externally studentised
-    others = np.maximum(total - runs.residual_m**2 / slack, 1e-12 * total) / (dof - 1)
-    studentised = np.abs(runs.residual_m) / np.sqrt(others * slack)
-    worst = int(np.argmax(studentised))
-    p_value = min(n * p_of_t(float(studentised[worst]), dof - 1), 1.0)
-    pulling = int(np.argmax(runs.fit.cook))
-    cook = float(runs.fit.cook[pulling])
+    basis = fit.fitted(runs.session)
+    found = standing_out(basis, fit.residual_m - basis @ (basis.T @ fit.residual_m), max(min(n // 5, MOST_OUTLIERS), 1))
+    last = max((k for k, (*_, p) in enumerate(found) if p < NOTE_BELOW), default=0)
+    out, (_, size, p_value) = [run for run, *_ in found[: last + 1]], found[last]
+    pulling = int(np.argmax(fit.cook))
+    cook = float(fit.cook[pulling])
     if p_value >= NOTE_BELOW and cook > 1:
         words = f"Run {runs.run_id[pulling]} alone moves the line by more than its uncertainty"
         sentence = f"{words} (Cook's distance {cook:.1f}): repeat its load."
         return Check("influence", NOTE, sentence, cook, "Cook's distance", None)
-    found = _with_other_load(runs, several=False) if p_value < NOTE_BELOW else ""
-    times = f"{studentised[worst]:.1f}" if studentised[worst] < 1000.0 else "over 1000"
+    line = np.column_stack([np.ones(n), *([runs.x] if fit.model == "line" else [])])
+    off_m, moved, dof = moved_by(line, basis, fit.residual_m, out)
+    off, times = ", ".join(f"{UM * one:+.0f}" for one in off_m), f"{size:.1f}" if size < 1000.0 else "over 1000"
+    words, whose = f"Run {runs.run_id[out[0]]} lies {off} um off, {times}", "its"
+    if last:
+        words, whose = f"Runs {', '.join(runs.run_id[out])} lie {off} um off, {times} and more", "each one's"
+    load = _with_other_load(runs, several=False) if p_value < NOTE_BELOW and not last else ""
     sentences = (
         f"No single run stands out or carries the line (largest Cook's distance {cook:.2g}).",
-        f"Run {runs.run_id[worst]} lies {UM * runs.residual_m[worst]:+.0f} um off, {times} standard "
-        "deviations of the others: look at its load, distance and counts, and correct it, exclude it with a reason or "
-        f"repeat it.{found}",
+        f"{words} standard deviations of the others: look at {whose} load, distance and counts, and correct it, "
+        f"exclude it with a reason or repeat it.{load}",
     )
-    name = f"largest studentised residual of {n}"
-    # within the others' interval the law with it holds the truth
-    moved = (1 + (runs.fit.model == "line")) * float(runs.fit.cook[worst]) * runs.fit.residual_std_m**2 / others[worst]
-    fails = moved > stdtrit(dof - 1, 0.975) ** 2
-    return tested("influence", studentised[worst], name, p_value, sentences, fails=fails)
+    # within the others' interval the law with them holds the truth
+    fails = moved > stdtrit(dof, 0.975) ** 2
+    return tested("influence", size, f"studentised residual {last + 1} of {n}", p_value, sentences, fails=fails)
 
 
 def _normality(runs: _Residuals) -> Check | None:

@@ -16,10 +16,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtr, stdtrit
+from scipy.special import ndtr, stdtr, stdtrit
 
 from calib.radius.law import LineEstimate
-from calib.types import FloatArray, IntArray, StrArray
+from calib.types import FloatArray, IntArray, StrArray, floats
 
 #: session over run variance for which strata are weighted; affects efficiency alone: the variances are estimated
 #: afterwards
@@ -323,3 +323,42 @@ def widened(
     wider = estimate.cov_within * np.outer(factor, factor)
     estimate = replace(estimate, cov_within=wider, dof_within=min(estimate.dof_within, max(dof, 1.0)))
     return estimate, replace(found, slope_ratio=float(factor[1]))
+
+
+def standing_out(basis: FloatArray, residual: FloatArray, most: int) -> list[tuple[int, float, float]]:
+    """Return the runs that stand out most, each omitted before the next: run, studentised residual, its probability.
+
+    Outliers that hide each other are all that come before the last improbable one (Rosner, Technometrics 25 (1983)
+    165). `basis`: orthonormal columns of the design, (n_runs, k); `residual`: what it leaves, (n_runs,); `most`: runs.
+    """
+    residual, slack, found = residual.copy(), 1.0 - np.sum(basis**2, axis=1), []
+    squares = float(residual @ residual)
+    for dof in range(len(residual) - basis.shape[1] - 1, 1, -1)[:most]:
+        free, left = slack > 1e-9, float(residual @ residual)
+        # externally studentised
+        others = np.maximum(left - residual[free] ** 2 / slack[free], 1e-12 * squares) / dof
+        size = np.zeros_like(residual)
+        size[free] = np.abs(residual[free]) / np.sqrt(others * slack[free])
+        worst = int(np.argmax(size))
+        found.append((worst, float(size[worst]), min(float(2 * free.sum() * stdtr(dof, -size[worst])), 1.0)))
+        column = (np.arange(len(residual)) == worst) - basis @ basis[worst]
+        column /= np.sqrt(np.maximum(slack[worst], 1e-9))
+        residual, slack = residual - column * (column @ residual), slack - column**2
+        basis = np.column_stack((basis, column))
+    return found
+
+
+def moved_by(
+    line: FloatArray, basis: FloatArray, residual: FloatArray, out: list[int]
+) -> tuple[FloatArray, float, int]:
+    """Return how far runs `out` lie off the others, the squares of their change of the line over a variance, its dof.
+
+    `line`: columns of the line itself, (n_runs, 1 or 2); for the rest see `standing_out`.
+    """
+    n, alone = len(residual), np.eye(len(residual))[:, out]
+    design = np.column_stack((basis, alone))
+    off, _, rank, _ = np.linalg.lstsq(design, residual, rcond=1e-10)
+    left, dof = residual - design @ off, max(n - int(rank), 1)
+    others = np.linalg.lstsq(np.column_stack((line, alone)), residual, rcond=None)[0][: line.shape[1]]
+    change = line @ (np.linalg.lstsq(line, residual, rcond=None)[0] - others)
+    return floats(off[basis.shape[1] :]), float(change @ change) / max(float(left @ left) / dof, 1e-30), dof

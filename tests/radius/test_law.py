@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calib.radius.law import critical_curve, critical_value, equivalent_dof
+from calib.radius.law import critical_curve, critical_value, equivalent_dof, half_width
 from tests.radius.coverage import DESIGNS, coverage
 
 
@@ -34,6 +34,16 @@ def test_the_curve_stays_between_the_pooled_and_the_wider_t() -> None:
     curve = critical_curve(4.0, 54.0)
     assert curve.min() >= stats.t.ppf(0.975, 58) - 1e-12
     assert curve.max() <= stats.t.ppf(0.975, 4) + 1e-12
+
+
+def test_a_sum_of_two_cauchy_variates_is_one_with_the_sum_of_their_scales() -> None:
+    """One degree of freedom each, the heaviest tails: the quantile is known in closed form; so it is of two normals."""
+    for share in (1.0, 0.3, 0.01):
+        scales = np.array([2.0, 2.0 * share])
+        assert half_width(scales, [1.0, 1.0]) == pytest.approx(scales.sum() * stats.cauchy.ppf(0.975), rel=1e-7)
+        assert half_width(scales[::-1], [1e9, 1e9]) == pytest.approx(
+            np.hypot(*scales) * stats.norm.ppf(0.975), rel=1e-7
+        )
 
 
 @pytest.mark.parametrize("name", ["confounded+", "crossed"])
