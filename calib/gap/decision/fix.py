@@ -192,8 +192,8 @@ def unhelpful(improvement: Improvement | None) -> Iterator[str]:
 def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Iterator[str]:
     """Yield causes beyond what is plausible that are not shown to close the gap: what imitates leaves a part of it.
 
-    The squares left are to be below half of those of the largest size that may be. Radii and track have a bound of
-    their own, `beyond_vehicles`.
+    The squares left are to be below half of those of the largest size that may be, and the cause rather at work than
+    not. Radii and track have a bound of their own, `beyond_vehicles`.
     """
     if improvement is None:
         return
@@ -201,7 +201,11 @@ def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Itera
     for cause in causes:
         beyond = max(cause.times / PLAUSIBLE_FACTOR, 1.0)
         wanted, bounded = 100 * (1 - (1 - HALF_CLOSURE) / beyond**2), effect_class(cause.effect).wrong_beyond < inf
-        if low <= wanted and not (cause.plausible or cause.undetermined or bounded):
+        if cause.plausible or cause.undetermined or bounded:
+            continue
+        if cause.probability < EVEN_PROBABILITY:
+            yield f"the size of {cause.effect} is {cause.remark}, and its probability {cause.probability:.2f}; {PLAN}"
+        elif low <= wanted:
             yield (
                 f"the size of {cause.effect} is {cause.remark}, and on held-out runs it closes {low:.0f} to {high:.0f} "
                 f"% of the gap, where {wanted:.0f} % are to be certain; {PLAN}"

@@ -1,6 +1,6 @@
 """The fix of the sure causes, where that of all is not recommended."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Final
@@ -120,17 +120,25 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
     # what would move by nothing beyond noise takes no part of the gap
-    left = (
-        rule.remaining(improvement, found.unexplained, f"the rest is what {beside} would take")
-        if unnamed or not _others_at_zero(evidence, names)
-        else ()
-    )
+    acts = bool(unnamed) or not _others_at_zero(evidence, names)
+    rest = f"the rest is what {beside} would take"
+    left = (*rule.remaining(improvement, found.unexplained, rest), *_resized(evidence, fitted)) if acts else ()
     why = (*rule.unhelpful(improvement), *left, *rule.harm(tried))
     if why:
         lead = f"without {unnamed}, which is not named" if unnamed else "with no other change of radii and track"
         return replace(fix, recommended=False, why=tuple(f"{lead}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in found.causes)
     return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
+
+
+def _resized(evidence: Evidence, fitted: Fitted) -> Iterator[str]:
+    whole = {form.effect: theta for form, theta, _ in evidence.fitted.each()}
+    for form, theta, _ in fitted.each():
+        columns = evidence.system.columns(form) / form.typical
+        off, size = (float(np.linalg.norm(columns @ part)) for part in (theta - whole[form.effect], theta))
+        # by what half of a gap's squares closes: less of what it moves would be right
+        if off > np.sqrt(1.0 - rule.HALF_CLOSURE) * size:
+            yield f"{100 * off / size:.0f} % of what it does by {form.effect} would be theirs, not its own; {rule.PLAN}"
 
 
 def _others_at_zero(evidence: Evidence, names: Collection[str]) -> bool:

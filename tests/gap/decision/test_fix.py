@@ -159,6 +159,14 @@ def test_a_size_beyond_what_is_plausible_has_to_close_the_gap_for_certain(
     assert sum("beyond what" in text and f"{100 * low:.0f} to 120 %" in text for text in why) == against
 
 
+def test_a_size_beyond_what_is_plausible_of_a_cause_that_is_rather_not_at_work_is_no_fix() -> None:
+    """However much it closes on these runs: something else does it."""
+    odd = replace(cause("wear"), plausible=False, remark="beyond what is physically plausible", times=1.1)
+    for probability, against in ((0.4, 1), (0.6, 0)):
+        why = reasons(Finding([replace(odd, probability=probability)], {"wear": 0.96}), CLOSES)
+        assert sum(f"its probability {probability:.2f}" in text for text in why) == against
+
+
 def test_causes_that_leave_nothing_to_measure_a_length_are_no_fix() -> None:
     """A tape and a tracking system that agree are not both wrong by one share: the wheels that disagree are."""
     both = [cause("reference_scale"), cause("rangefinder_scale")]

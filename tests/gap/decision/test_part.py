@@ -211,6 +211,23 @@ def test_radii_and_track_that_move_by_nothing_beyond_noise_keep_no_fix_back(
     assert part.as_delivered(evidence, Finding([arm], {arm.effect: 1.0}), whole).recommended is (off == 0.0)
 
 
+@pytest.mark.parametrize("share", [0.2, 0.6])
+def test_a_size_that_is_most_of_all_another_cause_s_is_not_written(
+    armed: Diagnosis, monkeypatch: pytest.MonkeyPatch, share: float
+) -> None:
+    """An arm of 0.2 of its size beside what is not named: 80 % of what is written would be theirs; 40 % may be."""
+    evidence = armed.evidence
+    assert evidence is not None
+    off = evidence.fitted.calibration + 5e-3 * np.array([1.0, 1.0, 0.0, 0.0])
+    fitted = replace(evidence.fitted, calibration=off, theta=tuple(share * part for part in evidence.fitted.theta))
+    evidence = replace(evidence, search=replace(evidence.search, fitted=fitted))
+    monkeypatch.setattr(part.rule, "remaining", lambda *_: iter(()))
+    (arm,) = armed.causes
+    fix = part.as_delivered(evidence, Finding([arm], {arm.effect: 1.0}), Fix(recommended=True))
+    assert fix.recommended is (share == 0.6)
+    assert fix.recommended or "80 % of what it does by reference_lever_arm" in fix.why[0]
+
+
 def test_a_weak_cause_beside_a_large_one_is_an_error_of_its_form() -> None:
     """Beside a law of 400 sigma a cause of 6 is too small, of 30 it is not; radii and track have no form that errs."""
     certain = {"load_radius": 0.96, "radius_scale": 0.96, "payload_position": 0.96}
