@@ -110,6 +110,7 @@ def _doubles(value: Any) -> Any:
 #: what stands above it
 PRESENTATION: Final = "calib.reporting.topics"
 PAGES: Final = "calib.reporting.pages"
+SENTENCES: Final = "calib.gap.decision.sentences"
 
 
 class Result:
@@ -119,7 +120,7 @@ class Result:
 
     def summary(self) -> str:
         """Return what the command prints, as lines of text."""
-        return str(_presentation().summary(self))
+        return str(in_words().summary(self))
 
     def plot(self, kind: str | None = None) -> "Figure":
         """Draw the result.
@@ -140,7 +141,7 @@ class Result:
         BadInputError
             Where the result has no figure of that kind.
         """
-        figure: Figure = _presentation().figure(self, kind)
+        figure: Figure = in_words().figure(self, kind)
         return figure
 
     def to_dict(self) -> dict[str, object]:
@@ -148,13 +149,14 @@ class Result:
         return plain_fields(self)
 
     def __repr__(self) -> str:
-        return str(_presentation().brief(self))
+        return str(in_words().brief(self))
 
     def _repr_html_(self) -> str:
-        return str(_presentation(PAGES).brief_html(self))
+        return str(in_words(PAGES).brief_html(self))
 
 
-def _presentation(module: str = PRESENTATION) -> Any:
+def in_words(module: str = PRESENTATION) -> Any:
+    """Return the module that says a result in words."""
     from importlib import import_module
 
     return import_module(module)

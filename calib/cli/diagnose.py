@@ -47,7 +47,6 @@ def run(
     from calib.campaign.read import read_or_ingest
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.gap.diagnose import diagnosed
-    from calib.reporting.source import verdict_document
     from calib.reporting.topics.diagnosis import GAP_FIGURES, after_diagnosis, diagnosis_full
 
     result = None if into is None else into / RESULT_FILE
@@ -66,7 +65,7 @@ def run(
                 _check_excluded(left_out, read)
             name, ran = "" if model is None else model.name, ""
             diagnosis, effects = diagnosed(read, model, left_out, seed, journeys, name=name, progress=tick)
-    document = verdict_document(diagnosis)
+    document = diagnosis.to_dict()
     terminal.show(diagnosis_full(diagnosis))
     terminal.say(ran)
     terminal.save(result, document)

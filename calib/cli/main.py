@@ -15,7 +15,7 @@ from typing import Any, Final
 import typer
 
 from calib.cli.commands import COMMANDS, build, command_called, options_of, with_default
-from calib.cli.terminal import CLOSED, INTERRUPTED, KEPT, drop, nearest, note, visible
+from calib.cli.terminal import CLOSED, INTERRUPTED, KEPT, WRITTEN, drop, nearest, note, visible
 from calib.documents import to_json
 from calib.errors import CalibError, ImplausibleError
 
@@ -38,7 +38,7 @@ def interruption(kept: list[str]) -> int:
 def failed(error: Exception, given: list[str]) -> int:
     """Print in one line what went wrong, and return the exit status for it.
 
-    Where standard output belongs to JSON, it gets the same as ``{"error": ..., "exit_status": ...}``.
+    Where standard output belongs to JSON, and has none yet, it gets ``{"error": ..., "exit_status": ...}``.
     """
     if isinstance(error, BrokenPipeError):
         return _pipe_closed()
@@ -46,7 +46,7 @@ def failed(error: Exception, given: list[str]) -> int:
         sys.stderr.write(_message(error) + "\n")
         return EXIT_BAD_INPUT
     message, status = _explained(error, given)
-    if "--json=-" in given or ("--json", "-") in pairwise(given):
+    if ("--json=-" in given or ("--json", "-") in pairwise(given)) and not WRITTEN.get():
         with suppress(OSError, ValueError):
             sys.stdout.write(to_json({"error": " ".join(message.split()), "exit_status": status}))
             sys.stdout.flush()
@@ -212,6 +212,7 @@ def run(
     KEPT.set(kept)
     INTERRUPTED.set(interrupted)
     CLOSED.set(False)
+    WRITTEN.set(False)
     given = sys.argv[1:] if arguments is None else arguments
     try:
         with overflow_noted():

@@ -50,6 +50,8 @@ _STEERING: Final = re.compile("[\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u20
 #: ``--json`` and ``--force`` of the command at work
 JSON_TARGET: Final[ContextVar[str | None]] = ContextVar("json_target", default=None)
 FORCE: Final[ContextVar[bool]] = ContextVar("force", default=False)
+#: whether standard output has its JSON
+WRITTEN: Final[ContextVar[bool]] = ContextVar("written", default=False)
 #: whether nobody reads the output any more; the command goes on, for its files
 CLOSED: Final[ContextVar[bool]] = ContextVar("closed", default=False)
 
@@ -103,6 +105,7 @@ def emit_json(value: Any) -> None:
             text = to_json(value)
         except ValueError as error:
             raise BadInputError(f"the result holds a number that JSON cannot say ({error})") from error
+        WRITTEN.set(True)
         _put(sys.stdout, text, lambda: to_json(value, ascii_only=True))
     else:
         write_json(Path(target), value, force=forced())

@@ -15,7 +15,7 @@ from calib.io import refuse_existing
 from calib.radius.result import Fit, ingest_notes
 from calib.reporting.blocks import Items, Notice, Picture, Section, catalogue, named, paragraph
 from calib.reporting.formatting import capital, prose
-from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of, verdict_document
+from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of
 from calib.reporting.topics.fit import assumed_text
 from calib.reporting.topics.report import missing_of, preparation_of
 from calib.types import Progress, silent
@@ -214,7 +214,7 @@ def report_without_law(
         content["geometry"] = geometry.to_dict()
         estimates = None if coefficients is None else to_json(content["geometry"]).encode()
         files = {"geometry.json": (estimates, "Estimates, covariance and verdict"), **files}
-    content["gap"] = None if diagnosis is None else verdict_document(diagnosis)
+    content["gap"] = None if diagnosis is None else diagnosis.to_dict()
     if diagnosis is not None:
         verdict = to_json(content["gap"]).encode()
         files["diagnosis.json"] = (verdict, "Verdict of the diagnosis with everything that it rests on")

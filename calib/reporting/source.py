@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import date, time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -71,7 +71,7 @@ class Source:
             "campaign": self.fit.name,
             "version": __version__,
             "coefficients": self.coefficients.changed(created=None).checksum,
-            "gap": None if self.verdict is None else verdict_document(self.verdict),
+            "gap": None if self.verdict is None else self.verdict.to_dict(),
         }
         return number_of("CR", content)
 
@@ -201,11 +201,3 @@ def logo_of(campaign: Campaign) -> tuple[str, bytes] | None:
     if path.suffix.lower() not in _PICTURES or not path.is_file() or path.stat().st_size > _LARGEST:
         raise BadFileError(where, column="report.logo", found=repr(name), expected="a small picture", remedy=remedy)
     return f"logo{path.suffix.lower()}", path.read_bytes()
-
-
-def verdict_document(verdict: "Diagnosis") -> dict[str, object]:
-    """Return a verdict as ``calib diagnose --json`` writes it: with the paper's headline where load is the cause."""
-    from calib.gap.decision.sentences import headline
-
-    beside = headline(verdict)
-    return verdict.to_dict() | {"headline": None if beside is None else asdict(beside)}

@@ -138,10 +138,9 @@ def test_nothing_is_applied_where_nothing_is_named(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Said, and status 1 as without it: the input is not at fault."""
-    verdict = SimpleNamespace(kind=VerdictKind(kind), causes=(), correction=None, campaign="c")
+    verdict = SimpleNamespace(kind=VerdictKind(kind), causes=(), correction=None, campaign="c", to_dict=dict)
     monkeypatch.setattr("calib.gap.diagnose.diagnosed", lambda *_, **__: (verdict, ()))
     monkeypatch.setattr("calib.reporting.topics.diagnosis.diagnosis_full", lambda _: ())
-    monkeypatch.setattr("calib.reporting.source.verdict_document", lambda _: {})
     monkeypatch.setattr("calib.reporting.topics.diagnosis.after_diagnosis", lambda *_, **__: "diagnose simulator lacks")
     target = tmp_path / "applied.json"
     write_campaign(campaign(runs_per_load=1, logs=False), tmp_path / "c")

@@ -124,6 +124,22 @@ def test_half_a_track_is_status_one(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert load_coefficients(tmp_path / "g").accepted_implausible is not None
 
 
+def test_standard_output_has_one_document_where_the_coefficients_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The result, which says why; that no file was written is said beside it."""
+    wrong = campaign(mixed(2), Truth(), np.random.default_rng(2), nominal=(0.05, 0.05, 0.2))
+    write_campaign(wrong, tmp_path / "c")
+    target = tmp_path / "coefficients.json"
+    assert run(["geometry", str(tmp_path / "c"), "--json", "-", "--output", str(target)]) == 1
+    told = capsys.readouterr()
+    assert json.loads(told.out)["verdict"] == "wrong" and "--accept-implausible" in told.err
+    assert not target.exists()
+    # a later command in the same process begins anew
+    assert run(["geometry", str(tmp_path / "nowhere"), "--json", "-"]) == 2
+    assert json.loads(capsys.readouterr().out)["exit_status"] == 2
+
+
 def test_a_recording_with_a_mapping_gives_the_geometry_of_its_campaign(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

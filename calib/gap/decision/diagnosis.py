@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.documents import Result, plain, plain_fields
+from calib.documents import SENTENCES, Result, in_words, plain, plain_fields
 from calib.gap.decision.held_out import Closure, HeldOut, Improvement
 from calib.gap.decision.trials import Trial
 from calib.gap.effects.effect import Effect, Form
@@ -364,14 +364,14 @@ class Diagnosis(Result):
         return DataFrame(rows)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the diagnosis as plain JSON values, as ``calib diagnose --json`` does."""
+        """Return what ``calib diagnose --json`` writes, with the paper's headline where load is the cause."""
         document = plain_fields(
             self,
             rest=self.unexplained or self.left,
             undetectable={limit.effect: limit.sentence for limit in self.undetectable},
             recommended=self.recommended,
         )
-        return {"format": FORMAT, **document}
+        return {"format": FORMAT, **document, "headline": plain(in_words(SENTENCES).headline(self))}
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -13,7 +13,7 @@ from calib.gap.decision.causes import Finding, jointly_zero
 from calib.gap.decision.constancy import half_of_steps
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
 from calib.gap.decision.held_out import Improvement, improvement_of
-from calib.gap.decision.kind import CERTAIN_PROBABILITY
+from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE
 from calib.gap.decision.trials import Trial, most_square, trials
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
@@ -137,7 +137,7 @@ def _resized(evidence: Evidence, fitted: Fitted) -> Iterator[str]:
         columns = evidence.system.columns(form) / form.typical
         off, size = (float(np.linalg.norm(columns @ part)) for part in (theta - whole[form.effect], theta))
         # by what half of a gap's squares closes: less of what it moves would be right
-        if off > np.sqrt(1.0 - rule.HALF_CLOSURE) * size:
+        if off > np.sqrt(1.0 - HALF_CLOSURE) * size:
             yield f"{100 * off / size:.0f} % of what it does by {form.effect} would be theirs, not its own; {rule.PLAN}"
 
 

@@ -192,6 +192,8 @@ def _find_places(
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
     # beside each run's offset and slope: on a stretch over which the gap grows in all runs of a route, in turns or
     # straights, at stops; p values are multiplied by the number of places
+    if np.isfinite(observations.simulated).any():
+        return (), ("the simulated ends have no path: where inside a run the gap opens cannot be determined",)
     traces = traces_of(campaign.included(), observations)
     if not traces:
         note = "no log has a continuous reference or range_m: where inside a run the gap opens cannot be determined"

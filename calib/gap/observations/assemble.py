@@ -82,7 +82,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         by_gyro=_each(units, "by_gyro"),
         sensor_m=(campaign.reference.sensor_x_m, campaign.reference.sensor_y_m),
         measured=measured,
-        simulated=_simulated(units, usable, remarks),
+        simulated=_simulated(units, measured, usable, remarks),
         usable=usable,
         numbers=numbers,
         labels=labels,
@@ -206,12 +206,15 @@ def _guided(
     return guided, sigma
 
 
-def _simulated(units: Sequence[Observation], usable: BoolArray, remarks: list[str]) -> FloatArray:
+def _simulated(units: Sequence[Observation], measured: FloatArray, usable: BoolArray, remarks: list[str]) -> FloatArray:
     simulated = np.full((len(units), N_CHANNELS), np.nan)
     simulated[:, :4] = [u.simulated for u in units]
+    # where a pose alone is simulated, what a laser reads of it
+    (laser, x, y), axis = simulated[:, :3].T, _laser_axis(measured, usable)
+    simulated[:, 0] = np.where(np.isnan(laser), np.where(axis == 2, np.hypot(x, y), np.abs(x)), laser)
     known = np.isfinite(simulated) & usable
     for channel, missing in zip(Channel, (usable & ~known).sum(axis=0), strict=True):
-        if known[:, channel].any() and missing:
+        if known.any() and missing:
             judged = "judged against calib's own odometry"
             remarks.append(f"{missing} runs have no sim_ value for {channel.label}: {judged}")
     return np.where(known, simulated, np.nan)

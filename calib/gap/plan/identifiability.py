@@ -277,7 +277,9 @@ class _Limits:
                 if signal > ABSORBED_SHARE * max(norm, 1e-12) and DETECTION_SIGNAL / signal < limit * (1.0 - 1e-9):
                     limit, best = DETECTION_SIGNAL / float(signal), parameter
         if best is None:
-            why = "indistinguishable from a radius or track error" if moves else "it moves nothing measured here"
+            through = all(form.acts_through for form in forms)
+            none = "[model] has no slopes by load" if through else "it moves nothing measured here"
+            why = "indistinguishable from a radius or track error" if moves else none
             return np.inf, DetectionLimit(effect.id, why, never=True)
         words = [best.name.replace("_", " ")] if best.name else []
         words += ["more than is plausible"] if limit * best.typical > best.largest else []

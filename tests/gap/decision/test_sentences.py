@@ -219,6 +219,13 @@ def test_the_headline_names_what_is_corrected_beside_the_load() -> None:
     assert beside is not None and "22 times smaller, with track_width." in beside.sentence
 
 
+def test_the_headline_is_part_of_the_plain_values() -> None:
+    """What `calib diagnose --json` writes, as the library gives it."""
+    stated = _load("load_radius").to_dict()["headline"]
+    assert (stated["effect"], stated["paper"]["before_m"]) == ("load_radius", 1.1)
+    assert _load("temperature_radius").to_dict()["headline"] is None
+
+
 def test_other_causes_and_diagnoses_without_closure_have_no_headline() -> None:
     assert headline(_load("temperature_radius")) is None
     assert headline(_load("load_radius", before=None)) is None

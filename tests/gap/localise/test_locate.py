@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from statsmodels.regression.linear_model import OLS
@@ -178,6 +180,16 @@ def test_without_a_continuous_reference_no_place_is_named_and_that_is_said() -> 
     made_of = located(campaign, *seen(campaign))
     assert made_of.places == ()
     assert "continuous reference" in made_of.notes[0]
+
+
+def test_of_a_simulator_that_gives_ends_no_place_is_named_and_that_is_said() -> None:
+    """The path that opens in the turns is the model's, which is not what was simulated."""
+    campaign = made("track_width", 3.0, needs=frozenset({"trace"}))
+    ends = {f"sim_{name}": campaign.runs.number(f"ref_{name}") for name in ("x_m", "y_m", "theta_rad")}
+    simulated = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **ends}))
+    made_of = located(simulated, *seen(simulated))
+    assert made_of.places == ()
+    assert "simulated ends have no path" in made_of.notes[0]
 
 
 def line(p_value: float, share: float = 0.5) -> CovariateResult:

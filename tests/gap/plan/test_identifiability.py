@@ -10,9 +10,9 @@ from calib.gap.effects.library import library
 from calib.gap.inference.fit import CALIBRATION_SD, fit
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
-from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of, distance, noise_at
+from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of, distance, noise_at, undetectable
 from calib.gap.predict import predict
-from tests.gap.effects.making import Run, rich_runs, situation
+from tests.gap.effects.making import SQUARE, Run, rich_runs, situation
 
 # a nuisance that is broad, not free, and a prior of ten times the largest plausible size keep a thousandth at most
 ZERO_SD = 0.05
@@ -101,3 +101,12 @@ def test_one_load_in_each_session_confounds_load_and_session() -> None:
 
     assert apart(crossed=False) < ZERO_SD * 4
     assert apart(crossed=True) > SEPARATION_SD
+
+
+def test_payloads_move_nothing_where_the_model_has_no_slopes_by_load() -> None:
+    """What a load moves is its radius' slope; what is missing is said, not that the payload does nothing."""
+    runs = [Run(SQUARE, kind="square", numbers={"payload_kg": 100.0 * (k % 2)}) for k in range(8)]
+    path = predict(situation(runs))
+    limits = undetectable(WhitenedSystem(path, path, noise_at(path, {})), library(path.s))
+    said = {limit.effect: limit.smallest for limit in limits}
+    assert said["payload_mass"] == said["payload_position"] == "[model] has no slopes by load"
