@@ -202,7 +202,9 @@ class Recalibration:
     sd: FloatArray
     signal: FloatArray  #: shape (3,): whitened norm of each
     instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  #: other likely effects that need it not off
-    likeliest: tuple[str, ...] = ()  #: most probable subset; if empty, all likelier off than not, if the runs show them
+    #: most probable subset, beside an effect its likely substitutes counted with it; if empty, all likelier off than
+    #: not, if the runs show them
+    likeliest: tuple[str, ...] = ()
     #: the same where no effect is named and something has to be off: that beside the best hypothesis, or the next
     needed: tuple[str, ...] = ()
 
@@ -237,6 +239,8 @@ def judge_recalibration(search: SearchResult, shifts: Mapping[str, tuple[str, ..
     probability = np.asarray(sum(weight * beside for weight, beside in weighed)) / total
     order = np.argsort(-probability, kind="stable")
     likeliest = needed = SUBSETS[int(order[0])]
+    if own and not likeliest:
+        likeliest = _with_substitutes(search, weighed, instead)
     if not likeliest:
         off = [float(sum(p for s, p in zip(SUBSETS, probability, strict=True) if k in s)) for k in range(3)]
         likeliest = needed = tuple(k for k in range(3) if off[k] > EVEN_PROBABILITY)
@@ -257,6 +261,18 @@ def judge_recalibration(search: SearchResult, shifts: Mapping[str, tuple[str, ..
         likeliest=tuple(NAMES[k] for k in without_unidentified(likeliest, probability)),
         needed=tuple(NAMES[k] for k in without_unidentified(needed, probability)),
     )
+
+
+def _with_substitutes(
+    search: SearchResult, weighed: Sequence[tuple[float, FloatArray]], instead: Mapping[str, tuple[str, ...]]
+) -> tuple[int, ...]:
+    # each of several aliases of a parameter takes a part of its probability, though one of them is at work
+    own, beside_own = {*search.effects}, weighed[0][1]
+    total, aliases = beside_own.copy(), own.union(*instead.values())
+    for (model, weight), (_, probability) in zip(search.alternatives, weighed[1:], strict=True):
+        effects = {search.system.forms[k].effect for k in model}
+        total += weight * (beside_own if own <= effects <= aliases else probability)
+    return SUBSETS[int(np.argmax(total))]
 
 
 def _instead(parameter: int, search: SearchResult, weighed: Sequence[tuple[float, FloatArray]]) -> tuple[str, ...]:

@@ -31,6 +31,7 @@ from calib.gap.plan.identifiability import noise_at
 from calib.gap.predict import predict
 from tests.gap.effects.making import Motion, Run, rich_runs, situation
 
+ALIASES = ("rangefinder_scale", "beam_misalignment")
 SHIFTS = {"temperature_radius": ("radius_scale",)}
 
 
@@ -140,6 +141,38 @@ ROUNDING = 1e-6
 #: without a lack of fit, and with the evidence as it is
 #: of one subset of so many: 0.3, 0.15 and 0.075 for all of a size together, of which there are 5, 5 and 1
 PRIOR_ODDS = (1.0, 0.06, 0.03, 0.075)
+
+
+@pytest.mark.parametrize(("named", "off"), [(True, ("radius_scale",)), (False, ())])
+def test_a_parameter_shares_its_probability_with_its_aliases_beside_a_named_effect(
+    monkeypatch: pytest.MonkeyPatch, named: bool, off: tuple[str, ...]
+) -> None:
+    """A law and larger radii, or the law and one of two instruments' scales, each 0.8 times as likely: one is at work.
+
+    Where the others explain the law as well, nothing needs the radii.
+    """
+    weights = {probability: np.full(len(SUBSETS), -30.0) for probability in (0, 1)}
+    weights[0][SUBSETS.index(())] = weights[1][SUBSETS.index((0,))] = 0.0
+    judged_beside = iter([weights[1], weights[0], weights[0]])
+    monkeypatch.setattr(recalibration, "weigh_subsets", lambda *_: SubsetWeights(next(judged_beside), 0.0))
+    monkeypatch.setattr(recalibration, "free_estimates", lambda *_: ((), (), ()))
+    s = situation([replace(run, front=False) for run in rich_runs()], truth=warm)
+    nominal = predict(s)
+    noise = noise_at(nominal, {})
+    forms = TemperatureRadius().forms(s)
+    fitted = fit(nominal, noise, forms, steps=8)
+    system = SimpleNamespace(
+        forms=[SimpleNamespace(effect=name) for name in ("temperature_radius", *ALIASES)],
+        nominal=nominal,
+        noise=noise,
+    )
+    others = [((0, 1), 0.8), ((0, 2), 0.8)] if named else [((1,), 0.8), ((2,), 0.8)]
+    search = SimpleNamespace(
+        fitted=fitted, system=system, effects=("temperature_radius",), alternatives=others, gains=0.0, weighting=None
+    )
+    made = judge_recalibration(search, {})  # type: ignore[arg-type]
+    assert made.likeliest == off
+    assert made.instead["radius_scale"] == ALIASES
 
 
 def _system() -> LinearSystem:
