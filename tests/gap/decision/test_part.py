@@ -21,7 +21,9 @@ from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.part import _parted, is_named_beside, sure_part
 from calib.gap.diagnose import diagnose_in_full
+from calib.gap.inference.fit import hypothesis_path
 from calib.gap.inference.local_search import EVEN_PROBABILITY
+from calib.gap.predict import residuals
 from tests.gap import workshop
 from tests.real import recordings
 from tests.real.manipulations import POSES
@@ -211,21 +213,28 @@ def test_radii_and_track_that_move_by_nothing_beyond_noise_keep_no_fix_back(
     assert part.as_delivered(evidence, Finding([arm], {arm.effect: 1.0}), whole).recommended is (off == 0.0)
 
 
-@pytest.mark.parametrize("share", [0.2, 0.6])
-def test_a_size_that_is_most_of_all_another_cause_s_is_not_written(
-    armed: Diagnosis, monkeypatch: pytest.MonkeyPatch, share: float
-) -> None:
-    """An arm of 0.2 of its size beside what is not named: 80 % of what is written would be theirs; 40 % may be."""
+@pytest.mark.parametrize("share", [0.4, 1.0])
+def test_the_size_that_is_written_is_the_size_that_is_stated(armed: Diagnosis, share: float) -> None:
+    """Beside another cause, not named, an arm of 0.4 of its size alone: 0.4 is stated and written, and judged so.
+
+    What the other does is left: 1 - 0.6^2 of the squares close at most; half is more than a fix needs.
+    """
     evidence = armed.evidence
     assert evidence is not None
-    off = evidence.fitted.calibration + 5e-3 * np.array([1.0, 1.0, 0.0, 0.0])
-    fitted = replace(evidence.fitted, calibration=off, theta=tuple(share * part for part in evidence.fitted.theta))
-    evidence = replace(evidence, search=replace(evidence.search, fitted=fitted))
-    monkeypatch.setattr(part.rule, "remaining", lambda *_: iter(()))
     (arm,) = armed.causes
-    fix = part.as_delivered(evidence, Finding([arm], {arm.effect: 1.0}), Fix(recommended=True))
-    assert fix.recommended is (share == 0.6)
-    assert fix.recommended or "80 % of what it does by reference_lever_arm" in fix.why[0]
+    whole = tuple(share * part for part in evidence.fitted.theta)
+    off = evidence.fitted.calibration + 5e-3 * np.array([1.0, 1.0, 0.0, 0.0])
+    path = hypothesis_path(evidence.nominal.s, off, evidence.fitted.forms, whole, evidence.fitted.path)
+    fitted = replace(evidence.fitted, calibration=off, theta=whole, path=path, left=residuals(path, evidence.nominal))
+    evidence = replace(evidence, search=replace(evidence.search, fitted=fitted))
+    scaled = {name: (share * size.value, tuple(share * x for x in size.ci95)) for name, size in arm.parameters.items()}
+    stated = replace(arm, parameters={name: Quantity(value, ci95, "m") for name, (value, ci95) in scaled.items()})
+    fix = part.as_delivered(evidence, Finding([stated], {arm.effect: 1.0}), Fix(recommended=True))
+    assert fix.held_out is not None and fix.fitted is not None
+    for written, (_, (low, high)) in zip(fix.fitted.theta[0], scaled.values(), strict=True):
+        assert low <= written <= high
+    closed_low, closed_high = fix.held_out.closed_ci95
+    assert closed_low <= 1.0 - (1.0 - share) ** 2 <= closed_high
 
 
 def test_a_weak_cause_beside_a_large_one_is_an_error_of_its_form() -> None:
