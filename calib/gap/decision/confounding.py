@@ -16,7 +16,7 @@ from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.inference.noise import Noise
-from calib.gap.inference.recalibration import PRIOR_SHIFT_ODDS
+from calib.gap.inference.recalibration import PRIOR_SHIFT_ODDS, SUBSETS
 from calib.gap.observations.arrays import POSE
 from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of, sizes_on
 from calib.gap.predict import Path, predict
@@ -277,9 +277,7 @@ def refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) ->
 
 def gap_probability(evidence: Evidence) -> float:
     """Return the probability of any gap: an effect, a calibration parameter, an unexplained residual."""
-    recalibration = evidence.recalibration
-    correct = sum(q for subset, q in zip(recalibration.subsets, recalibration.probabilities, strict=True) if not subset)
-    return 1.0 - evidence.search.nothing * float(correct)
+    return 1.0 - evidence.search.nothing * float(evidence.search.beside_nothing[SUBSETS.index(())])
 
 
 def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) -> dict[str, float]:
@@ -348,8 +346,10 @@ def credible_sets(evidence: Evidence, groups: Sequence[Sequence[str]]) -> tuple[
     weights: dict[tuple[str, ...], float] = {}
     faults = tuple(fault.effect.id for fault in evidence.situation.faults)
     recalibration, search = evidence.recalibration, evidence.search
+    beside_nothing = [tuple(NAMES[k] for k in subset) for subset in SUBSETS], search.beside_nothing
     for effects, p in zip(search.models, search.probabilities, strict=True):
-        for subset, q in zip(recalibration.subsets, recalibration.probabilities, strict=True):
+        beside = (recalibration.subsets, recalibration.probabilities) if effects else beside_nothing
+        for subset, q in zip(*beside, strict=True):
             known = tuple(name for name in subset if name in evidence.effects)
             unknown = ("unknown",) if len(known) < len(subset) else ()
             key = (*faults, *effects, *known, *unknown)

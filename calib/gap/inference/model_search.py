@@ -121,6 +121,7 @@ def search(
         rest=float(weighed.probability[~local.is_noise].sum()),
         weighting=local.weighting(),
         nothing=at_base.nothing,
+        beside_nothing=at_base.beside_nothing,
         gains=weighed.gains,
     )
 
@@ -223,9 +224,13 @@ class _WeighedModels:
     models: list[Model]
     probability: FloatArray  #: shape (n_scales, n_models)
     is_noise: BoolArray  #: shape (n_scales,): scales without a lack of fit
-    as_believed: float  #: probability of the calibration as believed without an effect; 1 where that is unlikely
+    beside_nothing: FloatArray  #: see `SearchResult`
     current_weight: float
     gains: FloatArray  #: see `weigh_subsets`
+
+    @property
+    def as_believed(self) -> float:
+        return float(self.beside_nothing[SUBSETS.index(())])
 
     @property
     def nothing(self) -> float:
@@ -248,7 +253,8 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
             gains = np.stack([gain[:, none]] * 2)
             gains[0, 0] = held_gain(local)
             weight = gained
-    weighting, over_free, as_believed = local.weighting(), dict[int, float](), 1.0
+    weighting, over_free = local.weighting(), dict[int, float]()
+    beside_nothing: FloatArray = np.eye(len(SUBSETS))[SUBSETS.index(())]
     if local.system.path.s.calibration_held:
         # nothing can be off beside any model
         likely, over_free = [], dict.fromkeys(range(len(models)), 0.0)
@@ -257,11 +263,12 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
         subsets = weigh_subsets(local.system, models[n], *free, shifts, gains)
         over_free[n] = subsets.over_free
         if not models[n]:
-            as_believed = float(subsets.probabilities[SUBSETS.index(())])
+            beside_nothing = subsets.probabilities
     weight = weight + np.array([over_free.get(n, min(over_free.values())) for n in range(len(models))])
     probability = np.exp(weight - weight.max())
     current_weight = float(np.logaddexp.reduce(weight[:, models.index(local.current)]))
-    return _WeighedModels(models, probability / probability.sum(), local.is_noise, as_believed, current_weight, gains)
+    probability /= probability.sum()
+    return _WeighedModels(models, probability, local.is_noise, beside_nothing, current_weight, gains)
 
 
 def _near(moved: _Settled, left: Fitted) -> _Settled | None:
