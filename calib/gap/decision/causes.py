@@ -97,7 +97,8 @@ def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[s
         is_certain = cause.probability > EVEN_PROBABILITY and likeliest >= CERTAIN_PROBABILITY
         # an error of the largest cause's law looks like a small cause
         doubtful = cause.share <= SMALL_SHARE * largest and not is_certain
-        weak = cause.signal < min(WEAK_SIGNAL, FORM_ERROR_SHARE * strongest)
+        # what looks like radii or track as well has a small signal beside them, and may have all of the gap
+        weak = cause.share <= SMALL_SHARE and cause.signal < min(WEAK_SIGNAL, FORM_ERROR_SHARE * strongest)
         return cause.share < NEGLIGIBLE_SHARE * largest or doubtful or weak
 
     return tuple(cause.effect for cause in causes if too_small(cause))

@@ -247,6 +247,11 @@ def test_a_weak_cause_beside_a_large_one_is_an_error_of_its_form() -> None:
     ):
         causes = [cause(largest, signal=400.0), cause("payload_position", signal=signal, share=1e-3)]
         assert (negligible(causes, certain) == ("payload_position",)) is small
+    # what radii or track would do as well has most of the gap, and little of it beside them
+    assert (
+        negligible([cause("load_radius", signal=400.0, share=0.1), cause("curve_scrub", signal=6.0, share=0.9)], {})
+        == ()
+    )
 
 
 def test_a_fix_that_leads_one_session_further_off_is_none_though_the_others_gain() -> None:
