@@ -12,8 +12,8 @@ from calib.gap.decision import fix as rule
 from calib.gap.decision.causes import Finding, jointly_zero
 from calib.gap.decision.constancy import half_of_steps
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
-from calib.gap.decision.held_out import Improvement, improvement_of
-from calib.gap.decision.kind import CERTAIN_PROBABILITY
+from calib.gap.decision.held_out import LARGE_RESIDUAL, Improvement, improvement_of
+from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE
 from calib.gap.decision.trials import Trial, most_square, trials
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
@@ -64,6 +64,8 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     # the calibration that a dropped cause looks like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
+        if not (beside or _keeps_sizes(evidence, fitted, improvement, kept)):
+            fitted, improvement, tried = _stated_part(evidence, names)
         # without a dropped cause the rest is unexplained
         left = () if dropped else rule.remaining(improvement, unexplained)
         odds = rule.needed(improvement) if by_odds else ()
@@ -117,7 +119,7 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
         return fix
     fitted, improvement, tried, _ = _tried(evidence, names, (), names)
-    if not _as_stated(fitted, found.causes):
+    if not _keeps_sizes(evidence, fitted, improvement, found.causes):
         fitted, improvement, tried = _stated_part(evidence, names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
@@ -149,6 +151,19 @@ def _as_stated(fitted: Fitted, causes: Sequence[Cause]) -> bool:
         for low, high in [quantity.ci95]
         if not quantity.shift
     )
+
+
+def _keeps_sizes(evidence: Evidence, fitted: Fitted, improvement: Improvement, causes: Sequence[Cause]) -> bool:
+    # sizes are those stated, or what fits without the others and is mostly their own: as where half of a gap closes
+    if _as_stated(fitted, causes) or improvement.after_rms > LARGE_RESIDUAL:
+        return _as_stated(fitted, causes)
+    whole = {form.effect: theta for form, theta, _ in evidence.fitted.each()}
+    for form, theta, _ in fitted.each():
+        does = evidence.system.columns(form) / form.typical
+        others = float(np.linalg.norm(does @ (theta - whole[form.effect])))
+        if others > np.sqrt(1.0 - HALF_CLOSURE) * np.linalg.norm(does @ theta):
+            return False
+    return True
 
 
 def _stated_part(evidence: Evidence, names: Collection[str]) -> tuple[Fitted, Improvement, tuple[Trial, ...]]:
