@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from calib.documents import Result, plain_fields
+from calib.errors import BadInputError
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import Delay, Fitted
@@ -194,7 +195,7 @@ class Geometry(Result):
         for estimate in self.estimates:
             if estimate.name == name:
                 return estimate
-        raise KeyError(f"{name}: found no estimate; there are {', '.join(e.name for e in self.estimates)}")
+        raise BadInputError(f"{name}: found no estimate; expected one of {', '.join(e.name for e in self.estimates)}")
 
     @property
     def values(self) -> dict[str, float]:
