@@ -95,6 +95,10 @@ def test_pages_hold_verdict_residuals_paths_and_correlation(
     ]
     for one in pictures:
         assert one.draw().axes
+    # the caption says what is drawn alone: a path by the reference where it follows the vehicle, else its ends
+    assert ("dotted" in pictures[0].caption) == (name == "along")
+    assert ("in blue, its end coloured" in pictures[0].caption) == (name == "squares")
+    assert {line.get_linestyle() for line in pictures[0].draw().axes[0].lines} >= {":" if name == "along" else "None"}
     assert [one.name for one in pages.attachments] == ["geometry.json", "coefficients.json"]
 
 

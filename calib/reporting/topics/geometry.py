@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +11,7 @@ import numpy as np
 from calib.fleet.comparison import shown_quantity
 from calib.kinematics.adequacy import USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
+from calib.reporting import blocks
 from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
 from calib.reporting.formatting import capital, places, plural, prose
 
@@ -22,9 +24,8 @@ _ROUTE: Final = (
 
 def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
     """Return the result as blocks."""
-    blocks: list[Block] = [Text(_heading(geometry)), *items(verdict_sentences(geometry)), parameter_table(geometry)]
-    blocks += items(geometry_sentences(geometry))
-    return (*blocks, *route_tables(geometry))
+    said = (Text(_heading(geometry)), *items(verdict_sentences(geometry)), parameter_table(geometry))
+    return (*said, *items(geometry_sentences(geometry)), *route_tables(geometry))
 
 
 def parameter_table(geometry: Geometry) -> Table:
@@ -164,7 +165,11 @@ def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
         return []
     largest = max(float(np.nanmax(np.hypot(*trace.residual_after[:, :2].T), initial=0.0)) for trace in measured)
     alt = f"Paths of {len(measured)} runs; the calibrated ones at most {1e3 * largest:.3g} mm from the reference"
-    return [picture("geometry-paths", alt, "calibration.draw_paths", measured)]
+    followed, ends = (any((len(trace.seen) > 1) is along for trace in measured) for along in (True, False))
+    calibrated = ["coloured"] * followed + ["in blue, its end coloured"] * ends
+    reference = ["by the reference, dotted"] * followed + ["the ends by the reference, as dots"] * ends
+    words = blocks.caption("geometry-paths", calibrated=" or ".join(calibrated), measured=" or ".join(reference))
+    return [Picture("geometry-paths", words, alt, partial(blocks.drawn, "calibration.draw_paths", measured))]
 
 
 def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
