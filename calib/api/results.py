@@ -118,7 +118,7 @@ def _plain(value: Any, hint: Any) -> Any:
 def _words(hint: Any) -> str:
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        return " or ".join(_words(part) for part in sorted(inner, key=lambda one: get_origin(one) is Sequence))
+        return " or ".join(sorted(map(_words, inner), key=lambda words: words.startswith("a list")))
     if origin is Literal:
         return f"one of {', '.join(inner)}"
     if origin is tuple:

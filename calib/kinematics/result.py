@@ -10,7 +10,7 @@ from calib.documents import Result, plain_fields
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
 from calib.kinematics.blunders import Fault
-from calib.kinematics.joint_fit import Delay, Fitted
+from calib.kinematics.joint_fit import MEAN_RADIUS, Delay, Fitted
 from calib.kinematics.readings import implausible
 from calib.kinematics.solve import COMPONENTS, DEGREES, LEAST, NOISE_STRETCHES, POWER, STATED_READINGS, kernels
 from calib.kinematics.uncertainty import UNBIASED, Freedom, flattened, whitened
@@ -260,6 +260,26 @@ class Geometry(Result):
         """Return the track over the mean radius: turns alone determine it."""
         return self._derived("track over mean radius", {"track_m": 1.0}, {"radius_left_m": 0.5, "radius_right_m": 0.5})
 
+    @property
+    def scaled(self) -> tuple[Estimate, ...]:
+        """Radii and track where they rest on the nominal mean radius, as of paths that close; else none."""
+        found = tuple(one for one in self.estimates if one.name in {"radius_left_m", "radius_right_m", "track_m"})
+        return found if MEAN_RADIUS in self.undetermined and sum("radius" in one.name for one in found) == 2 else ()
+
+    @property
+    def ratios(self) -> tuple[Estimate, ...]:
+        """What is determined of the lengths that the nominal mean radius scales; see `scaled`."""
+        names = [one.name for one in self.scaled]
+        of_radii = [self._derived("right_over_left", *({name: 1.0} for name in names[1::-1]))] if names else []
+        of_track = [replace(self.track_over_radius(), name="track_over_radius")] if "track_m" in names else []
+        return (*of_radii, *of_track)
+
+    @property
+    def mean_radius(self) -> dict[str, float]:
+        """The nominal mean radius by its name, where it is held; else nothing."""
+        radii = [one.nominal for one in self.scaled[:2]]
+        return {MEAN_RADIUS: sum(radii) / len(radii)} if radii else {}
+
     def _derived(self, name: str, over: Mapping[str, float], under: Mapping[str, float]) -> Estimate:
         over_at, under_at = (
             [sum(weight * getattr(self[part], kind) for part, weight in side.items()) for kind in ("value", "nominal")]
@@ -281,6 +301,8 @@ class Geometry(Result):
             parameters=by_name,
             covariance={"names": [e.name for e in self.estimates], "matrix": self.covariance},
             clusters=dict(zip(("of", "n"), self.clusters, strict=True)),
+            held={**self.held, **self.mean_radius},
+            ratios={one.name: plain_fields(one) for one in self.ratios},
             delay_s=delay,
             residual_rms=self.residual_rms._asdict(),
             verdict=self.verdict,

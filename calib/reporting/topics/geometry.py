@@ -29,9 +29,13 @@ def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
 
 
 def parameter_table(geometry: Geometry) -> Table:
-    """Return the parameters with their intervals."""
+    """Return the parameters with their intervals; of those that a held scale gives, their ratios'."""
     heads = ("<parameter", "<unit", "nominal", "estimate", "sd", "95 % interval", "change")
-    return table("Parameters, with 95 % intervals.", heads, map(_cells, geometry.estimates), dense=True)
+    held = {one.name for one in geometry.scaled}
+    sizes = geometry.mean_radius.values()
+    said = "".join(f" The mean radius is held at {1e3 * size:.6g} mm: no result." for size in sizes)
+    rows = (_cells(one, held=one.name in held) for one in (*geometry.estimates, *geometry.ratios))
+    return table(f"Parameters, with 95 % intervals.{said}", heads, rows, dense=True)
 
 
 def route_tables(geometry: Geometry) -> tuple[Table, ...]:
@@ -99,12 +103,13 @@ def geometry_remarks(geometry: Geometry) -> list[str]:
     return [*lines, *geometry.notes]
 
 
-def _cells(estimate: Estimate) -> tuple[str, ...]:
+def _cells(estimate: Estimate, *, held: bool = False) -> tuple[str, ...]:
     name, factor, unit = shown_quantity(estimate.name)
     digits = places(factor * estimate.std)
     value, std, low, high = (f"{factor * x:.{digits}f}" for x in (estimate.value, estimate.std, *estimate.ci95))
     change = f"{100.0 * (estimate.value / estimate.nominal - 1.0):+z.2f} %" if estimate.nominal else ""
-    return (name, unit, f"{factor * estimate.nominal:.6g}", value, std, f"{low} to {high}", change)
+    std, interval = ("", "held with the mean") if held else (std, f"{low} to {high}")
+    return (name, unit, f"{factor * estimate.nominal:.6g}", value, std, interval, change)
 
 
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:
