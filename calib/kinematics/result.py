@@ -274,12 +274,6 @@ class Geometry(Result):
         of_track = [replace(self.track_over_radius(), name="track_over_radius")] if "track_m" in names else []
         return (*of_radii, *of_track)
 
-    @property
-    def mean_radius(self) -> dict[str, float]:
-        """The nominal mean radius by its name, where it is held; else nothing."""
-        radii = [one.nominal for one in self.scaled[:2]]
-        return {MEAN_RADIUS: sum(radii) / len(radii)} if radii else {}
-
     def _derived(self, name: str, over: Mapping[str, float], under: Mapping[str, float]) -> Estimate:
         over_at, under_at = (
             [sum(weight * getattr(self[part], kind) for part, weight in side.items()) for kind in ("value", "nominal")]
@@ -296,12 +290,13 @@ class Geometry(Result):
         """Return the result as plain values: the keys of ``calib geometry --json``."""
         by_name = {e.name: plain_fields(e) for e in self.estimates}
         delay = by_name.pop("delay_s", {})
+        mean = {MEAN_RADIUS: sum(one.nominal for one in self.scaled[:2]) / 2.0} if self.scaled else {}
         return plain_fields(
             self,
             parameters=by_name,
             covariance={"names": [e.name for e in self.estimates], "matrix": self.covariance},
             clusters=dict(zip(("of", "n"), self.clusters, strict=True)),
-            held={**self.held, **self.mean_radius},
+            held={**self.held, **mean},
             ratios={one.name: plain_fields(one) for one in self.ratios},
             delay_s=delay,
             residual_rms=self.residual_rms._asdict(),

@@ -32,8 +32,7 @@ def parameter_table(geometry: Geometry) -> Table:
     """Return the parameters with their intervals; of those that a held scale gives, their ratios'."""
     heads = ("<parameter", "<unit", "nominal", "estimate", "sd", "95 % interval", "change")
     held = {one.name for one in geometry.scaled}
-    sizes = geometry.mean_radius.values()
-    said = "".join(f" The mean radius is held at {1e3 * size:.6g} mm: no result." for size in sizes)
+    said = " The mean radius is held at its nominal value: no result." if held else ""
     rows = (_cells(one, held=one.name in held) for one in (*geometry.estimates, *geometry.ratios))
     return table(f"Parameters, with 95 % intervals.{said}", heads, rows, dense=True)
 
