@@ -52,7 +52,13 @@ def checked(function: Callable[Parameters, Returned]) -> Callable[Parameters, Re
     @wraps(function)
     def called(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Returned:
         bound = bind(function, args, kwargs)
-        return function(*bound.args, **bound.kwargs)
+        try:
+            return function(*bound.args, **bound.kwargs)
+        except OSError as error:
+            if not isinstance(error.filename, str):
+                raise
+            text = f"{error.filename}: found {error.strerror}; expected a place that works; choose another"
+            raise BadInputError(text) from error
 
     return called
 
@@ -96,6 +102,8 @@ def _accepted(value: Any, hint: Any) -> Any:
 
 
 def _plain(value: Any, hint: Any) -> Any:
+    if isinstance(value, str | PathLike) and "\0" in str(value):
+        raise ValueError
     if hint is Path and isinstance(value, str | PathLike) and isinstance(text := fspath(value), str):
         return Path(text)
     if hint is int and not isinstance(value, bool):
@@ -110,7 +118,7 @@ def _plain(value: Any, hint: Any) -> Any:
 def _words(hint: Any) -> str:
     origin, inner = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
-        return " or ".join(dict.fromkeys(_words(part) for part in inner))
+        return " or ".join(sorted(map(_words, inner), key=lambda words: words.startswith("a list")))
     if origin is Literal:
         return f"one of {', '.join(inner)}"
     if origin is tuple:
@@ -221,6 +229,8 @@ def ingest(
 
 
 def _paths(sources: Sequence[Path | str] | Path | str) -> list[Path]:
+    if not isinstance(sources, Path | str) and not sources:
+        raise BadInputError("sources: found none; expected the run table first, then logs; name the files")
     return [Path(source) for source in ([sources] if isinstance(sources, Path | str) else sources)]
 
 

@@ -220,7 +220,10 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
     found, kept = _taken_apart(campaign.included())
     notes = found + [note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded]
-    if len(kept.runs):
+    if not len(kept.runs):
+        text = f"all {len(excluded)} runs are flagged as excluded, so that nothing is left; clear those that are sound"
+        notes.append(design.column_note("excluded", text, "excluded_all", "wrong"))
+    else:
         for check in stepped(CHECKS.values(), progress, "checks"):
             notes.extend(check(kept))
     # "looks like distance_m", and no run has one

@@ -359,7 +359,7 @@ class Campaign:
         """
         from pandas import DataFrame
 
-        if not len(rows := np.flatnonzero(self.runs.run_id == run_id)):
+        if not isinstance(run_id, str) or not len(rows := np.flatnonzero(self.runs.run_id == run_id)):
             known = ", ".join(map(str, self.runs.run_id[:5]))
             raise BadInputError(f"run_id: found {run_id!r}; expected a run of {self.name}: {known} ...; name one")
         if not (columns := self.logs.of(int(rows[0]))):

@@ -323,5 +323,7 @@ def looks_ahead(distance_m: FloatArray, x_m: FloatArray, y_m: FloatArray) -> boo
     if not known.any():
         return False
     along, chord = np.abs(x_m[known]), np.hypot(x_m[known], y_m[known])
-    off_along, off_chord = (float(np.median(np.abs(distance_m[known] - way))) for way in (along, chord))
-    return off_along <= off_chord
+    off_along, off_chord = off = np.abs(distance_m[known] - np.stack([along, chord]))
+    # the runs that tell them apart count most, none as a blunder
+    off_along, off_chord = np.square(np.minimum(off, 3.0 * np.median(off.max(axis=0)))).sum(axis=1)
+    return bool(off_along <= off_chord)

@@ -43,7 +43,7 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
     matched, line = _match(raw, shown, border), raw.line
     if "run_id" not in matched:
         found = f"only {', '.join(list(raw.columns)[:12])[:200] or 'nothing'}"
-        remedy = "name each run; 'calib ingest' makes a run table out of any spreadsheet"
+        remedy = "name each run; 'calib ingest --describe FILE' proposes a mapping of other names"
         raise BadFileError(shown, found, "a column run_id", remedy, column="run_id")
     refuse_beyond(len(line), RUNS, shown=shown, what="runs", remedy="divide the campaign into several")
     if not len(line):

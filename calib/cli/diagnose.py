@@ -107,6 +107,7 @@ def _apply(
     try:
         if effects is None:
             made: Any = parameters_to_set(diagnosis)
+            step = "diagnose simulator --apply"
         else:
             model = applied_model(diagnosis, campaign, effects)
             made, what, step = model.to_bytes(), "model is", "diagnose --apply"

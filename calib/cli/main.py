@@ -163,7 +163,7 @@ def overflow_noted() -> Iterator[None]:
         before = warnings.showwarning
 
         def kept(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-            if issubclass(category, RuntimeWarning):
+            if issubclass(category, RuntimeWarning) or category.__module__.startswith("statsmodels"):
                 overflows.append(str(message))
             else:
                 before(message, category, *where, **more)

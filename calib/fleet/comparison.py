@@ -204,8 +204,9 @@ class Outlier:
     def why(self) -> str:
         """What a person reads."""
         name, scale, unit = shown_quantity(self.quantity)
-        away = f"{scale * self.value:.6g} {unit}, {scale * (self.value - self.fleet):+.3g} from the fleet's mean"
-        return f"{name}: {away} ({abs(self.z):.1f} standard deviations)"
+        value, away = f"{scale * self.value:.6g} {unit}", f"{scale * (self.value - self.fleet):+.3g} {unit}"
+        value, away = value.rstrip(), f"{away.rstrip()} from the fleet's mean"
+        return f"{name}: {value}, {away} ({abs(self.z):.1f} standard deviations)"
 
     def to_dict(self) -> dict[str, object]:
         """Return it as plain JSON values."""
@@ -226,7 +227,7 @@ class LabelDifference:
     def what(self) -> str:
         """The difference."""
         name, scale, unit = shown_quantity(self.quantity)
-        return f"{name} {scale * self.difference.size:+.3g} {unit} from the others'"
+        return f"{name} {f'{scale * self.difference.size:+.3g} {unit}'.rstrip()} from the others'"
 
     @property
     def sentence(self) -> str:

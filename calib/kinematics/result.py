@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 
 from calib.documents import Result, plain_fields
+from calib.errors import BadInputError
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
 from calib.kinematics.blunders import Fault
-from calib.kinematics.joint_fit import Delay, Fitted
+from calib.kinematics.joint_fit import MEAN_RADIUS, Delay, Fitted
 from calib.kinematics.readings import implausible
 from calib.kinematics.solve import COMPONENTS, DEGREES, LEAST, NOISE_STRETCHES, POWER, STATED_READINGS, kernels
 from calib.kinematics.uncertainty import UNBIASED, Freedom, flattened, whitened
@@ -194,7 +195,7 @@ class Geometry(Result):
         for estimate in self.estimates:
             if estimate.name == name:
                 return estimate
-        raise KeyError(f"{name}: found no estimate; there are {', '.join(e.name for e in self.estimates)}")
+        raise BadInputError(f"{name}: found no estimate; expected one of {', '.join(e.name for e in self.estimates)}")
 
     @property
     def values(self) -> dict[str, float]:
@@ -259,6 +260,20 @@ class Geometry(Result):
         """Return the track over the mean radius: turns alone determine it."""
         return self._derived("track over mean radius", {"track_m": 1.0}, {"radius_left_m": 0.5, "radius_right_m": 0.5})
 
+    @property
+    def scaled(self) -> tuple[Estimate, ...]:
+        """Radii and track where they rest on the nominal mean radius, as of paths that close; else none."""
+        found = tuple(one for one in self.estimates if one.name in {"radius_left_m", "radius_right_m", "track_m"})
+        return found if MEAN_RADIUS in self.undetermined and sum("radius" in one.name for one in found) == 2 else ()
+
+    @property
+    def ratios(self) -> tuple[Estimate, ...]:
+        """What is determined of the lengths that the nominal mean radius scales; see `scaled`."""
+        names = [one.name for one in self.scaled]
+        of_radii = [self._derived("right_over_left", *({name: 1.0} for name in names[1::-1]))] if names else []
+        of_track = [replace(self.track_over_radius(), name="track_over_radius")] if "track_m" in names else []
+        return (*of_radii, *of_track)
+
     def _derived(self, name: str, over: Mapping[str, float], under: Mapping[str, float]) -> Estimate:
         over_at, under_at = (
             [sum(weight * getattr(self[part], kind) for part, weight in side.items()) for kind in ("value", "nominal")]
@@ -275,11 +290,14 @@ class Geometry(Result):
         """Return the result as plain values: the keys of ``calib geometry --json``."""
         by_name = {e.name: plain_fields(e) for e in self.estimates}
         delay = by_name.pop("delay_s", {})
+        mean = {MEAN_RADIUS: sum(one.nominal for one in self.scaled[:2]) / 2.0} if self.scaled else {}
         return plain_fields(
             self,
             parameters=by_name,
             covariance={"names": [e.name for e in self.estimates], "matrix": self.covariance},
             clusters=dict(zip(("of", "n"), self.clusters, strict=True)),
+            held={**self.held, **mean},
+            ratios={one.name: plain_fields(one) for one in self.ratios},
             delay_s=delay,
             residual_rms=self.residual_rms._asdict(),
             verdict=self.verdict,

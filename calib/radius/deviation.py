@@ -1,6 +1,6 @@
 """Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, and each run."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -14,7 +14,7 @@ from calib.documents import plain
 from calib.errors import BadInputError
 from calib.radius.effective import UnusedRun, usable_runs
 from calib.radius.path_length import PathExcess, arc_excess, correct_paths, small_amplitude_excess, whole_period_excess
-from calib.types import FloatArray, Row, StrArray, floats, rows_of
+from calib.types import BoolArray, FloatArray, Row, StrArray, floats, rows_of
 from calib.vehicle import Vehicle
 
 #: halvings, to rounding
@@ -258,8 +258,8 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     path = correct_paths(campaign)
     distance = np.abs(runs.number("distance_m"))
     # wheels that were kept alike say nothing of the path
-    unseen = np.isnan(runs.number("ref_theta_rad")) & (steered_itself_m(campaign) >= 0.0)
-    known = (path.source != "none") & ~unseen
+    blind = np.isnan(runs.number("ref_theta_rad"))
+    known = (path.source != "none") & ~(blind & (steered_itself_m(campaign) >= 0.0))
     left, right = radius_error(path.left), radius_error(path.right)
     error, columns = np.maximum(np.abs(left), np.abs(right)), path.source == "columns"
     # the turn of an unknown phase is at most the root of two times its standard deviation
@@ -307,4 +307,15 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         "arc_turn_rad": turn,
         "arc_excess": arc_excess(turn, distance, vehicle.track_m).centre,
     }
-    return RunDeviations(tolerance, columns, left_out, path.notes)
+    notes = (*path.notes, *_bow_note(known & blind, distance, tolerance, vehicle))
+    return RunDeviations(tolerance, columns, left_out, notes)
+
+
+def _bow_note(blind: BoolArray, distance_m: FloatArray, tolerance: float, vehicle: Vehicle) -> Iterator[str]:
+    if blind.any():
+        # a bow turns the vehicle by 8 bows over the distance, and each wheel's path is half a track's turn off
+        bow_m = tolerance * float(np.median(distance_m[blind])) ** 2 / (4.0 * vehicle.track_m)
+        yield (
+            f"A steady bow of {blind.sum()} of {len(blind)} runs is not seen: nothing tells it from unequal radii. One "
+            f"of {1e3 * bow_m:.3g} mm moves a radius by {100 * tolerance:g} %; measure ref_theta_rad at the end."
+        )

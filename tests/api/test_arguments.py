@@ -70,6 +70,15 @@ def test_strange_arguments_are_answered_by_one_family_of_errors(corridor: calib.
         (lambda c: calib.simulate(routes=[3]), "simulate: routes: found [3]"),
         (lambda c: calib.export(calib.geometry(c)), "give campaign=..."),
         (lambda c: c.log("r9999"), "found 'r9999'"),
+        (lambda c: c.log(["r000", "r001"]), "found ['r000', 'r001']"),
+        (lambda c: calib.describe([]), "sources: found none"),
+        (lambda c: calib.describe(3), "expected a path or a text or a list, each a path or a text"),
+        (lambda c: calib.ingest([], "made"), "sources: found none"),
+        (lambda c: calib.ingest("a\0b", "made"), "expected a path or a text"),
+        (lambda c: calib.read("a" * 5000), "aaa: found File name too long"),
+        (lambda c: calib.fit(c).plot(["runs"]), "found the kind ['runs']; expected one of regressions"),
+        (lambda c: calib.geometry(c)["track"], "track: found no estimate; expected one of radius_left_m"),
+        (lambda c: calib.geometry(c).ratio("track_m", "radius"), "radius: found no estimate"),
     ],
 )
 def test_a_wrong_argument_is_said_by_name(call: Callable[[calib.Campaign], Any], words: str, corridor: Any) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from calib.campaign.check import CHECKS, check_campaign
+from calib.errors import RefusedError
+from calib.radius.fit import fit_campaign
 from tests.campaign.faults import (
     FAULTS,
     Fault,
@@ -117,6 +119,35 @@ def test_an_excluded_run_is_kept_and_not_complained_about() -> None:
     report = check_campaign(replace(made, runs=replace(made.runs, excluded=flagged)))
     assert report.suspicious == ()
     assert (report.found.n_runs, report.found.n_excluded) == (30, 1)
+
+
+def test_a_campaign_of_excluded_runs_alone_is_wrong_and_fits_nothing() -> None:
+    made = campaign()
+    none = replace(made, runs=replace(made.runs, excluded=np.ones(len(made.runs), dtype=bool)))
+    report = check_campaign(none)
+    assert not report.sound and "are flagged as excluded" in report.wrong[0].text
+    with pytest.raises(RefusedError, match="flagged as excluded"):
+        fit_campaign(none)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("side", "other"), [("left", "right"), ("right", "left")])
+def test_the_wheel_that_counts_backwards_is_the_one_to_negate(side: str, other: str) -> None:
+    """Headings of straight runs may fit either sign; the counts' own does not."""
+    made = campaign()
+    left, right = (made.runs.number(f"counts_{each}") / made.encoder.counts_per_rev_left for each in ("left", "right"))
+    # headings of the other sense than the counts': the wrong wheel fits better
+    turned = (left - right) * 2 * np.pi * made.vehicle.wheel_radius_m / made.vehicle.track_m
+    back = {f"counts_{side}": -made.runs.number(f"counts_{side}"), "ref_theta_rad": turned}
+    said = " ".join(note.text for note in check_campaign(without_logs(with_numbers(made, **back))).wrong)
+    assert f"the {side} wheel counts backwards in every straight run" in said
+    assert f"negate counts_{other}" not in said
+
+
+@pytest.mark.filterwarnings("error")
+def test_distances_of_zero_are_told_without_a_warning() -> None:
+    made = campaign()
+    assert check_campaign(with_numbers(made, distance_m=0.0 * made.runs.number("distance_m"))).wrong
 
 
 def test_one_load_a_session_is_said_to_be_inseparable() -> None:

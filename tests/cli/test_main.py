@@ -237,3 +237,21 @@ def test_every_command_is_registered_under_a_summary(capsys: pytest.CaptureFixtu
         assert run([group, "--help"]) == 0
         out = capsys.readouterr().out
         assert all(name.split()[1] in out for name in COMMANDS if name.startswith(f"{group} "))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (["ingest", "{s}/runs.csv", "--into", "{t}/made", "--mapping", "{t}/none.toml"], "the path of the mapping"),
+        (["diagnose", "{s}", "--journeys", "{t}/none.toml"], "the path of the plan"),
+        (["plan", "{s}", "--candidates", "{t}/none.toml"], "the path of the plan"),
+    ],
+)
+def test_a_missing_file_is_answered_with_what_it_would_be(
+    call: list[str], words: str, project_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not with how to make a campaign, which is there."""
+    sample = project_root / "sample_runs" / "corridor_crossed"
+    assert run([part.format(s=sample, t=tmp_path) for part in call]) == 2
+    told = capsys.readouterr().err
+    assert words in told and "campaign.toml" not in told

@@ -10,6 +10,7 @@ import pytest
 from scipy.special import stdtr
 
 from calib.fleet.comparison import (
+    Outlier,
     any_false,
     difference_of,
     false_discovery,
@@ -179,4 +180,6 @@ def test_an_outlier_is_as_far_from_the_fleet_as_from_the_mean_that_is_shown() ->
     assert apart.vehicle == "v12"
     away = apart.value - found.populations["radius_left_ref_m"].mean
     assert abs(away - (apart.value - float(np.median(values["radius_left_ref_m"])))) > 1e-6
-    assert f"{1e3 * away:+.3g} from the fleet's mean" in apart.why
+    assert f"{1e3 * away:+.3g} mm from the fleet's mean" in apart.why
+    # a quantity without a unit has none, and no blank in its place
+    assert Outlier("v", "gyro_scale", 1.5, 1.0, 9.0).why.startswith("gyro scale: 1.5, +0.5 from")

@@ -231,6 +231,7 @@ def test_a_diagnosis_is_json_with_the_fields_of_the_contract(case: str, request:
     assert document["verdict"] in VERDICTS
     assert json.loads(json.dumps(document, allow_nan=False)) is not None
     assert [name for name, value in document.items() if not plain(value)] == []
+    assert bool(document["fix"]["why"]) != document["recommended"]
     assert document["closure"].keys() >= CLOSURE
     assert document["where"].keys() >= {"channels", "covariates", "runs", "places"}
     for channel in document["where"]["channels"].values():

@@ -1,20 +1,28 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calib.campaign.model import Campaign
+from calib.campaign.read import looks_ahead
+from calib.campaign.settings import Reference
 from calib.errors import BadInputError
 from calib.radius.deviation import (
     allowed_amplitude_m,
     allowed_amplitude_on_run_m,
     arc_of_ratio_rad,
     arc_row,
+    judge_runs,
     radius_error,
     weave_excess,
 )
+from calib.radius.effective import effective_radii
 from calib.radius.path_length import arc_excess, small_amplitude_excess, whole_period_excess
+from tests.radius.campaigns import COUNTS_PER_REV, campaign_of
 
 AMPLITUDES = st.floats(1e-4, 1.5)
 WAVELENGTHS = st.floats(0.5, 80.0)
@@ -106,3 +114,61 @@ def test_an_arc_that_never_gets_so_far_away_is_refused() -> None:
     assert arc_row(1.3, 5.36, 0.7)["turn_rad"] == pytest.approx(np.pi, abs=0.15)
     with pytest.raises(BadInputError, match=r"distance: found 20 m; expected at most 5\.367 m"):
         arc_row(1.3, 20.0, 0.7)
+
+
+#: true radii, and radius of the bow in m; the chord of 40 m is 0.074 % shorter than the arc
+LEFT_M, RIGHT_M, BOW_M, CHORD_M = 0.1003, 0.0998, 300.0, 40.0
+
+
+def bowed(bows_m: np.ndarray, *, heading: bool = True) -> Campaign:
+    """Runs of constant curvature, left positive; the wheels roll the arc, half a track from its middle."""
+    turn = 2.0 * np.arcsin(0.5 * CHORD_M / bows_m)
+    numbers = {
+        "distance_m": np.full(len(turn), CHORD_M),
+        "counts_left": (bows_m - 0.35) * turn / (2 * np.pi * LEFT_M) * COUNTS_PER_REV,
+        "counts_right": (bows_m + 0.35) * turn / (2 * np.pi * RIGHT_M) * COUNTS_PER_REV,
+        "load_left_N": np.full(len(turn), 500.0),
+        "load_right_N": np.full(len(turn), 500.0),
+    }
+    if heading:
+        return campaign_of({**numbers, "ref_theta_rad": turn})
+    straight = np.linspace(0.0, 1.0, 400)
+    logs = [
+        tuple(np.round(straight * numbers[f"counts_{side}"][k]) for side in ("left", "right")) for k in range(len(turn))
+    ]
+    return campaign_of(numbers, logs=logs)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_bow_makes_uncorrected_radii_too_small_by_what_its_arc_is_longer(sense: float) -> None:
+    """Arc less chord is L^3 / (24 R^2); the outer wheel rolls half a track's turn more, the inner one less."""
+    campaign = replace(bowed(np.full(6, sense * BOW_M)), reference=Reference(sigma_theta_rad=1e-4))
+    found, radii = judge_runs(campaign, 0.0005).columns, effective_radii(campaign)
+    # the next term of the series is a 500th of this one
+    np.testing.assert_allclose(found["excess_centre"], CHORD_M**2 / (24 * BOW_M**2), rtol=3e-3)
+    turn = 2.0 * np.arcsin(0.5 * CHORD_M / BOW_M)
+    for name, aside_m in (("error_left", -sense * 0.35), ("error_right", sense * 0.35)):
+        np.testing.assert_allclose(found[name], CHORD_M / ((BOW_M + aside_m) * turn) - 1, atol=1e-6)
+    np.testing.assert_allclose(radii.radius_left_m, LEFT_M, rtol=2e-6)
+    np.testing.assert_allclose(radii.radius_right_m, RIGHT_M, rtol=2e-6)
+
+
+def test_a_steady_bow_that_no_log_shows_is_said_with_the_size_that_uses_up_the_tolerance() -> None:
+    """A bow h turns the vehicle by 8 h / L, and half a track of that is each wheel's error."""
+    blind = " ".join(judge_runs(bowed(np.full(6, BOW_M), heading=False), 0.0005).notes)
+    assert "A steady bow of 6 of 6 runs is not seen" in blind
+    assert f"One of {1e3 * 0.0005 * CHORD_M**2 / (8 * 0.35):.3g} mm moves a radius by 0.05 %" in blind
+    assert "steady bow" not in " ".join(judge_runs(bowed(np.full(6, BOW_M)), 0.0005).notes)
+
+
+@pytest.mark.parametrize("ahead", [True, False])
+def test_small_bows_tell_what_a_distance_lies_along(ahead: bool) -> None:
+    """Chord and way ahead are 2 mm apart, less than their noise of 2.5 mm; 40 runs tell, one mistyped end or not."""
+    rng, right = np.random.default_rng(7), 0
+    for trial in range(100):
+        x, aside = np.full(40, 40.0), np.full(40, 0.4)
+        distance = (x if ahead else np.hypot(x, aside)) + rng.normal(0.0, 0.0015, 40)
+        aside[-1] += 3.0 * (trial % 2)
+        right += looks_ahead(distance, x + rng.normal(0.0, 0.002, 40), aside) == ahead
+    # by the medians alone it would be nine in ten
+    assert right >= 95

@@ -18,7 +18,7 @@ from calib.radius.result import Fit, write_result
 from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text, catalogue
 from calib.reporting.content import PAGES, Report, compose
 from calib.reporting.source import OPTIONAL, STATED, Source, issue_date, opened, source_of
-from calib.reporting.topics.fit import result_section, usable_notice
+from calib.reporting.topics.fit import residuals_picture, result_section, usable_notice
 from calib.reporting.topics.report import MOST_NOTES, coefficients_section, method_section, regression_section
 from calib.reporting.topics.runs import deviation_section
 from calib.vehicle import Drive
@@ -302,3 +302,10 @@ def test_the_table_of_the_law_has_the_ends_of_the_measured_loads(source: Source)
     fit = replace(source.fit, **dict(zip(("left", "right"), wheels, strict=True)))
     shown = next(one for one in regression_section(replace(source, fit=fit)).blocks if isinstance(one, Table))
     assert [row[0] for row in shown.rows] == ["301", *map(str, range(400, 1100, 100)), "1097"]
+
+
+def test_the_residuals_of_one_session_promise_no_colours_of_sessions(source: Source) -> None:
+    fit, radii = source.fit, source.fit.radii
+    alone = replace(fit, radii=replace(radii, session=np.full_like(radii.session, "s1")))
+    assert "sessions as above" in residuals_picture(fit).caption
+    assert "sessions" not in residuals_picture(alone).caption

@@ -18,6 +18,7 @@ from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry, RunTrace
 from calib.reporting.blocks import Facts, Notice, Picture
 from calib.reporting.content import Report, report_without_law
+from calib.reporting.topics.geometry import parameter_table
 from tests.kinematics.campaigns import Leg, Truth, campaign, square
 
 #: noise of the reference
@@ -95,7 +96,33 @@ def test_pages_hold_verdict_residuals_paths_and_correlation(
     ]
     for one in pictures:
         assert one.draw().axes
+    # the caption says what is drawn alone: a path by the reference where it follows the vehicle, else its ends
+    assert ("dotted" in pictures[0].caption) == (name == "along")
+    assert ("in blue, its end coloured" in pictures[0].caption) == (name == "squares")
+    assert {line.get_linestyle() for line in pictures[0].draw().axes[0].lines} >= {":" if name == "along" else "None"}
     assert [one.name for one in pages.attachments] == ["geometry.json", "coefficients.json"]
+
+
+def test_a_scale_that_closed_squares_do_not_see_is_held_and_has_no_interval() -> None:
+    """All lengths 3 % larger close as well: radii and track are no results, what they are to each other is."""
+    larger = Truth(radius_left_m=1.03 * 0.0505, radius_right_m=1.03 * 0.0498, track_m=1.03 * 0.412)
+    routes = [(f"square{sense}", square(2.0, sense)) for sense in (1, -1) for _ in range(6)]
+    found = estimate_geometry(campaign(routes, larger, np.random.default_rng(2), sigma=(SIGMA_M, SIGMA_RAD)))
+    assert found.to_dict()["held"]["mean_radius_m"] == 0.05
+    rows = {row[0]: row for row in parameter_table(found).rows}
+    for name in ("radius left", "radius right", "track"):
+        assert rows[name][4:6] == ("", "held with the mean")
+    truths = {"right_over_left": 0.0498 / 0.0505, "track_over_radius": 0.412 / (0.5 * (0.0498 + 0.0505))}
+    for name, truth in truths.items():
+        low, high = found.to_dict()["ratios"][name]["ci95"]
+        assert low - 1e-4 * truth < truth < high + 1e-4 * truth and high - low < 0.01 * truth
+        assert "to" in rows[name.replace("_", " ")][5]
+    # where the ways do not close nothing is held
+    routes = [("free", [(2.0, 0.0), (0.0, 1.0), (1.5, 0.0)])] * 4 + [
+        ("back", [(2.0, 0.0), (0.0, -1.0), (1.5, 0.0)])
+    ] * 4
+    found = estimate_geometry(campaign(routes, Truth(), np.random.default_rng(2), sigma=(SIGMA_M, SIGMA_RAD)))
+    assert found.scaled == found.ratios == () and "mean_radius_m" not in found.to_dict()["held"]
 
 
 def test_runs_without_a_law_give_a_report_of_the_geometry(

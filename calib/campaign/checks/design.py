@@ -189,7 +189,9 @@ def groups_of(labels: StrArray) -> Iterator[tuple[str, IntArray]]:
     """Yield each label and the numbers of its runs."""
     names, group = np.unique(labels, return_inverse=True)
     order = np.argsort(group, kind="stable")
-    yield from zip(names, np.split(order, np.searchsorted(group[order], np.arange(1, len(names)))), strict=True)
+    # of no labels np.split makes one part
+    parts = np.split(order, np.searchsorted(group[order], np.arange(1, len(names))))[: len(names)]
+    yield from zip(names, parts, strict=True)
 
 
 def listed(names: StrArray | list[str], limit: int = 6) -> str:

@@ -192,7 +192,12 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
 def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArray, FloatArray]:
     turned = design.reference_turns(campaign)[0]
     left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
-    apart = [by * turned - by_right * right + by_left * left for by_left, by_right, by, _ in senses]
+    apart = [
+        # a wheel that counts forward, beside one that does not, is not the one to negate
+        np.where((left * right < 0) & (by_left * left < 0) & (by_right * right < 0), np.inf,
+                 by * turned - by_right * right + by_left * left)
+        for by_left, by_right, by, _ in senses
+    ]  # fmt: skip
     return np.isfinite(turned + left + right), np.array(apart), turned
 
 
@@ -253,7 +258,9 @@ _COPIED: Final = 0.25
 def copied_distances(campaign: Campaign) -> Iterator[Note]:
     """Find distances that were computed from the wheels' counts, as an odometer's."""
     distance, radii = campaign.runs.number("distance_m"), [raw_radius_ratio(campaign, side) for side in SIDES]
-    ratio = np.where(campaign.runs.label("loop") != CLOSED, 2.0 / (1.0 / radii[0] + 1.0 / radii[1]), np.nan)
+    # wheels of opposite sense cancel
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(campaign.runs.label("loop") != CLOSED, 2.0 / (1.0 / radii[0] + 1.0 / radii[1]), np.nan)
     known = np.isfinite(ratio)
     # a program's distances may have no noise
     if known.sum() < 2 * LEAST_RUNS or campaign.simulated:
@@ -319,7 +326,8 @@ def far_from_line(campaign: Campaign) -> Iterator[Note]:
                 # a load far from the others' draws its line
                 away[of] = design.off_line(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
         # the rangefinder's share keeps short runs, and exact data, from flagging their last digit
-        noise = campaign.rangefinder.sigma_m / campaign.runs.number("distance_m")
+        with np.errstate(divide="ignore"):
+            noise = campaign.rangefinder.sigma_m / campaign.runs.number("distance_m")
         spread = np.maximum(design.robust_spread(away) * 1.2, noise)
         for run in np.flatnonzero(np.abs(away) > _OUTLIER_SPREADS * spread):
             text = f"""the {side} radius lies {100 * away[run]:+.3f} % from the others' line by load,

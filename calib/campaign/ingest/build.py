@@ -107,8 +107,6 @@ def ingest(
 
     Parameters and refusals: see `calib.api.results.ingest`; `dry_run` writes nothing.
     """
-    if not sources:
-        raise BadInputError("sources: found none; expected the run table first, then logs; name the files")
     paths = [Path(source) for source in sources]
     for path in [*paths, *([mapping] if mapping else [])]:
         if path.resolve().is_relative_to(into.resolve()):

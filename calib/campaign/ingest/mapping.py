@@ -297,7 +297,8 @@ def read_mapping(path: Path | None) -> Mapping:
     `path`: TOML file; None: an empty one. Raises BadFileError where a line cannot be used.
     """
     shown = str(path) if path else "mapping"
-    document = load_toml(path, shown) if path else {}
+    remedy = "give the path of the mapping, which 'calib ingest --describe' proposes"
+    document = load_toml(path, shown, remedy=remedy) if path else {}
     table = parse_section(TableSection, document.pop("table", {}), shown, "table")
     log = parse_section(LogSection, document.pop("log", {}), shown, "log")
     for name, other in (("counts_left", "counts_right"), ("speed_left_mps", "speed_right_mps")):

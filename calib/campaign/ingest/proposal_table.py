@@ -12,6 +12,7 @@ from calib.campaign.ingest.guesses import direction_of, guessed_table_column, pl
 from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, units_for
 from calib.campaign.model import LABEL_COLUMNS
 from calib.campaign.readers.sheets import SECTION
+from calib.campaign.readers.table import is_number
 from calib.campaign.settings import WHEEL_LOADS, bracketed, recognise
 from calib.campaign.settings_file import toml_value
 from calib.types import SUFFIXES, grouped, split_suffix
@@ -79,8 +80,9 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
         if name == "ref_theta_rad" and column.kind == "text" and len(directions) == 2:
             # a heading in words: E and W, north and south
             name = "direction"
-        if name == "distance_m" and column.kind == "text" and "kind" not in targets.values():
-            # `Strecke` is a distance, or the route
+        words = column.kind == "text" and not any(map(is_number, column.texts))
+        if name == "distance_m" and words and "kind" not in targets.values():
+            # `Strecke` is a distance, or the route; numbers beside other cells are no routes
             name = "kind"
         if column in passed_over or name is None or name in named or not _may_be(name, column, table.n_rows):
             left["kept as covariates" if column.kind == "number" else "not used"].append(column.name)

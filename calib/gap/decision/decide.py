@@ -165,7 +165,11 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
         if any(word in note.where for word in words):
             where = note.where.replace(", columns", ",")
             text += f" In these {where} change together: sizes hold if only one of the two acts."
-    return replace(diagnosis, sentence=text, correct_first=first or (sentences.CHECK_UNITS,) * blunder)
+    first = first or (sentences.CHECK_UNITS,) * blunder
+    if not diagnosis.causes:
+        why = (*first, *diagnosis.fix.why, sentences.nothing_to_apply(diagnosis))
+        diagnosis = replace(diagnosis, fix=replace(diagnosis.fix, why=why))
+    return replace(diagnosis, sentence=text, correct_first=first)
 
 
 def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:

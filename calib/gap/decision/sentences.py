@@ -6,11 +6,13 @@ from math import isinf
 from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
+from calib.gap.decision.fix import REPEAT
 from calib.gap.decision.held_out import LARGE_RESIDUAL, RERUN, ChannelClosure
 from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE, ON_FLOOR, fails
 from calib.gap.effects.library import effect_class, title_of
 from calib.gap.effects.radii import HIDES_IN
 from calib.gap.inference.local_search import EVEN_PROBABILITY
+from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 from calib.gap.localise.along_run import PlaceResult
 from calib.gap.localise.locate import GapLocation
 from calib.types import few_digits
@@ -78,9 +80,25 @@ def _verdict(diagnosis: Diagnosis) -> str:
     return f"{before}: t{words[1:]}{lead}" if before else words + lead
 
 
+def nothing_to_apply(diagnosis: Diagnosis) -> str:
+    """Return why there is no fix where no cause is named, in figures, and which runs would settle it."""
+    found = f"the probability of a gap is {diagnosis.gap_probability or 0.0:.2f}"
+    if diagnosis.kind is VerdictKind.NO_GAP:
+        found += f", below the {REPORTED_GAP_PROBABILITY:g} from which one is reported"
+        runs = "'undetectable' has the size that would show; other loads, speeds and routes show smaller ones"
+    elif diagnosis.noise_level.supported:
+        found = f"no effect of the library is probable enough to be named, and {found}"
+        columns = "add columns of suspected quantities to runs.csv, and repeat the routes with the largest gap"
+        runs = REPEAT if diagnosis.is_improbable else columns
+    else:
+        found, runs = f"{found} by a noise level that rests on {diagnosis.noise_level.support}", REPEAT
+    sizes = _channels(diagnosis).strip(" .").replace("; ", ", ")
+    return f"{found}; {sizes[:1].lower()}{sizes[1:]}{sizes and '; '}{runs}"
+
+
 def _unsupported(diagnosis: Diagnosis) -> str:
     support = diagnosis.noise_level.support
-    return f"their noise level rests on {support}. Drive one route several times under the same conditions"
+    return f"their noise level rests on {support}. {_capital(REPEAT)}"
 
 
 def _nearest(diagnosis: Diagnosis) -> str:

@@ -291,7 +291,7 @@ def read_candidates(path: FilePath) -> list[PlannedRun]:
 
 
 def _load(path: FilePath) -> dict[str, Any]:
-    document = load_toml(path, str(path))
+    document = load_toml(path, str(path), remedy="give the path of the plan, as sample_runs/plan.toml")
     if (stated := document.pop("format", FORMAT)) != FORMAT:
         raise BadFileError(
             path, column="format", found=repr(stated)[:60], expected=repr(FORMAT), remedy="give a plan of runs"

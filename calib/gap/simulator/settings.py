@@ -30,6 +30,7 @@ TYPICAL_SHARE: Final = 0.1
 #: each costs a run
 MOST_PARAMETERS: Final = 200
 
+Number = Annotated[FiniteFloat, Field(strict=True)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_.:/\-]{0,79}$")]
 
 
@@ -39,9 +40,9 @@ class Declared(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: Name
-    nominal: FiniteFloat
-    step: FiniteFloat
-    largest: PositiveFloat
+    nominal: Number
+    step: Number
+    largest: Annotated[PositiveFloat, Field(strict=True)]
     unit: Annotated[str, Field(max_length=20)] = "1"
     sign: Literal[-1, 0, 1] = 0
     effect: str = ""
@@ -108,7 +109,8 @@ def _wrong(each: Declared, names: set[str]) -> tuple[str, str, str] | None:
     if each.name in names:
         return "the name twice", "one table for each parameter", "remove one of them"
     if each.step == 0.0 or not math.isfinite(1.0 / each.step) or abs(each.step) > each.largest:
-        return f"step = {each.step:g}", f"a step of {each.largest:g} (largest) at most, not 0", "choose a smaller step"
+        change = f"a change from nominal, not 0 and {each.largest:g} (largest) at most"
+        return f"step = {each.step:g}", change, f"give step = {(each.sign or 1) * each.largest / 20:g}, for one"
     if each.sign * each.step < 0.0:
         return f"step = {each.step:g}", "a step of the sign that is physical", "give the step the sign"
     if each.effect and each.effect not in REGISTRY:

@@ -256,8 +256,10 @@ def draw_paths(traces: "Sequence[RunTrace]", *, simulated: bool = False) -> Figu
             colours = _coloured(axes, trace, scale, pixels=pixels)
             handles |= {line.get_label(): line for line in axes.lines[-1:] if len(trace.seen) < 2}
             end = {"marker": "o", "markevery": [-1], "ms": 1.2, "zorder": 4}
-            (handles["reference"],) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=":", **end)
-        axes.set_title(f"{kind or 'all runs'} ({len(chosen)})")
+            dots = ":" if len(trace.seen) > 1 else "none"
+            (handles["reference"],) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=dots, **end)
+        some = f"{MOST_PATHS} of " if len(chosen) > MOST_PATHS else ""
+        axes.set_title(f"{kind or 'all runs'} ({some}{len(chosen)})")
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(xlabel="x (m)", ylabel="y (m)")
         axes.autoscale_view()

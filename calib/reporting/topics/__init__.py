@@ -36,7 +36,7 @@ def figure(result: Result, kind: str | None) -> "Figure":
     """Return a figure of a result, the first one where no kind is named."""
     figures: Drawings = PRESENTED[type(result).__name__][2](result)
     kind = next(iter(figures), "") if kind is None else kind
-    if kind not in figures:
+    if kind not in [*figures]:
         raise BadInputError(
             f"plot: found the kind {kind!r}; expected one of {', '.join(figures) or 'none: there is nothing to draw'}"
         )

@@ -1,6 +1,7 @@
 """Result of a fit: both laws with their budget, checks, runs, pictures, and comparison with a model."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check, WheelFit, t_quantile
 from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks, formatting
-from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, caption, items, picture, table
+from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, caption, drawn, items, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
 from calib.types import FloatArray, grouped
 
@@ -194,7 +195,9 @@ def residuals_picture(fit: Fit) -> Picture:
     """Return the residuals of both wheels."""
     sizes = {name: 1e6 * float(abs(wheel.residual_m).max()) for name, wheel in fit.wheels.items()}
     alt = "Residuals of both wheels: " + "; ".join(f"{name} wheel within {um:.0f} µm" for name, um in sizes.items())
-    return picture("residuals", alt, "calibration.residuals", fit.left, fit.right, fit.radii.session)
+    colours = "; colours are sessions as above" if len(set(fit.radii.session.tolist())) > 1 else ""
+    draw = partial(drawn, "calibration.residuals", fit.left, fit.right, fit.radii.session)
+    return Picture("residuals", caption("residuals", colours=colours), alt, draw)
 
 
 MM: Final = 1e3

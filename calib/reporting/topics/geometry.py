@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +11,7 @@ import numpy as np
 from calib.fleet.comparison import shown_quantity
 from calib.kinematics.adequacy import USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
+from calib.reporting import blocks
 from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
 from calib.reporting.formatting import capital, places, plural, prose
 
@@ -22,15 +24,17 @@ _ROUTE: Final = (
 
 def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
     """Return the result as blocks."""
-    blocks: list[Block] = [Text(_heading(geometry)), *items(verdict_sentences(geometry)), parameter_table(geometry)]
-    blocks += items(geometry_sentences(geometry))
-    return (*blocks, *route_tables(geometry))
+    said = (Text(_heading(geometry)), *items(verdict_sentences(geometry)), parameter_table(geometry))
+    return (*said, *items(geometry_sentences(geometry)), *route_tables(geometry))
 
 
 def parameter_table(geometry: Geometry) -> Table:
-    """Return the parameters with their intervals."""
+    """Return the parameters with their intervals; of those that a held scale gives, their ratios'."""
     heads = ("<parameter", "<unit", "nominal", "estimate", "sd", "95 % interval", "change")
-    return table("Parameters, with 95 % intervals.", heads, map(_cells, geometry.estimates), dense=True)
+    held = {one.name for one in geometry.scaled}
+    said = " The mean radius is held at its nominal value: no result." if held else ""
+    rows = (_cells(one, held=one.name in held) for one in (*geometry.estimates, *geometry.ratios))
+    return table(f"Parameters, with 95 % intervals.{said}", heads, rows, dense=True)
 
 
 def route_tables(geometry: Geometry) -> tuple[Table, ...]:
@@ -98,12 +102,13 @@ def geometry_remarks(geometry: Geometry) -> list[str]:
     return [*lines, *geometry.notes]
 
 
-def _cells(estimate: Estimate) -> tuple[str, ...]:
+def _cells(estimate: Estimate, *, held: bool = False) -> tuple[str, ...]:
     name, factor, unit = shown_quantity(estimate.name)
     digits = places(factor * estimate.std)
     value, std, low, high = (f"{factor * x:.{digits}f}" for x in (estimate.value, estimate.std, *estimate.ci95))
     change = f"{100.0 * (estimate.value / estimate.nominal - 1.0):+z.2f} %" if estimate.nominal else ""
-    return (name, unit, f"{factor * estimate.nominal:.6g}", value, std, f"{low} to {high}", change)
+    std, interval = ("", "held with the mean") if held else (std, f"{low} to {high}")
+    return (name, unit, f"{factor * estimate.nominal:.6g}", value, std, interval, change)
 
 
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:
@@ -164,7 +169,11 @@ def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
         return []
     largest = max(float(np.nanmax(np.hypot(*trace.residual_after[:, :2].T), initial=0.0)) for trace in measured)
     alt = f"Paths of {len(measured)} runs; the calibrated ones at most {1e3 * largest:.3g} mm from the reference"
-    return [picture("geometry-paths", alt, "calibration.draw_paths", measured)]
+    followed, ends = (any((len(trace.seen) > 1) is along for trace in measured) for along in (True, False))
+    calibrated = ["coloured"] * followed + ["in blue, its end coloured"] * ends
+    reference = ["by the reference, dotted"] * followed + ["the ends by the reference, as dots"] * ends
+    words = blocks.caption("geometry-paths", calibrated=" or ".join(calibrated), measured=" or ".join(reference))
+    return [Picture("geometry-paths", words, alt, partial(blocks.drawn, "calibration.draw_paths", measured))]
 
 
 def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:

@@ -10,7 +10,7 @@ import pytest
 
 from calib.campaign.ingest.build import ingest
 from calib.campaign.ingest.describe import describe
-from calib.errors import CalibError
+from calib.errors import BadFileError, CalibError
 
 
 def _write_bag(folder: Path, messages: list[tuple[str, str, dict[str, object]]]) -> Path:
@@ -349,3 +349,14 @@ def test_files_of_a_run_keep_their_names_and_columns_their_units(tmp_path: Path)
     assert any('odom = "odom_{n}.csv", slam_6D = "slam_{n}_6D.csv"' in line for line in lines)
     assert 'ref_theta_rad = {column = "slam_6D:yaw", unit = "deg"}' in lines
     assert 'counts_left = {column = "odom:wL_rpm", unit = "rpm"}' in lines
+
+
+def test_distances_among_other_cells_are_no_route(tmp_path: Path) -> None:
+    """The proposal can be used as it is: the bad cell is then named."""
+    cells = ["40.0", "40.01", "n/a", "-", "#REF!", "40.02"]
+    rows = [f"r{number},{cell},{260000 + number},{260100 + number}" for number, cell in enumerate(cells)]
+    (tmp_path / "runs.csv").write_text("run,distance_m,counts_left,counts_right\n" + "\n".join(rows) + "\n")
+    (tmp_path / "mapping.toml").write_text(text := describe([tmp_path / "runs.csv"]).to_toml())
+    assert 'kind = {value = "corridor"}' in text
+    with pytest.raises(BadFileError, match="row 6, column distance_m: found '#REF!'"):
+        ingest([tmp_path / "runs.csv"], tmp_path / "made", mapping=tmp_path / "mapping.toml")

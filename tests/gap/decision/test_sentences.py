@@ -7,9 +7,9 @@ from dataclasses import replace
 import pytest
 
 from calib.gap.decision.decide import tied_with
-from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, Quantity, VerdictKind
+from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, NoiseSummary, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
-from calib.gap.decision.sentences import advice, headline, sentence
+from calib.gap.decision.sentences import advice, headline, nothing_to_apply, sentence
 from calib.gap.localise.along_run import PlaceResult
 from calib.gap.localise.locate import GapLocation
 from calib.gap.observations.arrays import Channel
@@ -53,6 +53,24 @@ def test_a_recalibration_that_is_not_recommended_is_not_said_to_close_the_gap() 
     alone = Diagnosis(VerdictKind.EXPLAINED, "", (CAUSE,), closure=Closure(channels=(DISTANCE,)))
     assert "A plain recalibration of the track" in sentence(alone)
     assert "recalibration" not in sentence(replace(alone, fix=Fix(why=("it closes 13 to 53 % of the gap",))))
+
+
+@pytest.mark.parametrize(
+    ("kind", "probability", "supported", "words"),
+    [
+        (VerdictKind.NO_GAP, 0.04, True, ("0.04, below the 0.3", "10.1 mm (noise level 10)", "other loads")),
+        (VerdictKind.UNDECIDED, 0.1, False, ("is 0.10 by a noise level that rests on one run", "drive one route")),
+        (VerdictKind.UNKNOWN, 0.99, True, ("is 0.99; against", "runs.csv")),
+        (VerdictKind.UNKNOWN, 0.4, True, ("is 0.40; against", "drive one route several times")),
+    ],
+)
+def test_where_nothing_is_named_figures_and_runs_say_why_there_is_no_fix(
+    kind: VerdictKind, probability: float, supported: bool, words: tuple[str, ...]
+) -> None:
+    noise = NoiseSummary(supported=supported, support="one run")
+    closure = Closure(channels=(STILL,))
+    text = nothing_to_apply(Diagnosis(kind, "", closure=closure, noise_level=noise, gap_probability=probability))
+    assert all(each in text for each in words), text
 
 
 def test_where_no_channel_is_above_the_noise_level_the_nearest_to_it_is_named() -> None:

@@ -321,6 +321,10 @@ def test_the_command_says_it_and_writes_what_to_set(
     told = capsys.readouterr().out
     assert "Simulator: 0 runs" in told
     assert "--apply parameters.json' writes what to set" in " ".join(told.split())
+    # what is done is no next step
+    assert run([*call, "--apply", str(target), "--force"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "--apply" not in told and f"Next: make the values of {target} the nominal ones of" in told
 
 
 @pytest.mark.parametrize(
