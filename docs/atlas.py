@@ -20,8 +20,7 @@ from calib.campaign.read import read_campaign
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.library import REGISTRY, EffectSignature, signature_of
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
-from calib.gap.plan.routes import Dimensions
+from calib.gap.plan.planned_runs import Dimensions, Measured, PlannedRun, drive
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
 from calib.reporting.figures.gap import signature_figure

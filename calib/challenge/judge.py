@@ -4,12 +4,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
+from zlib import crc32
 
 import numpy as np
 
 from calib.challenge.cases import Truth
 from calib.gap.effects.library import REGISTRY
 from calib.plant.world import Cause
+from calib.types import FloatArray
 
 Compared = tuple[str, float, float, float]  # parameter, truth, low, high
 
@@ -233,3 +235,43 @@ def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
         # of an outside cause wrong is what would be acted upon
         wrong=named_wrongly if effect else bool(verdict.get("recommended", False)),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plant:
+    """One effect at one size, and what was found of it."""
+
+    effect: str  #: id of the effect, or name of the outside cause
+    form: str
+    outside: bool  #: whether no library holds it
+    family: str
+    size: float
+    unit: str
+    signal: float  #: beside these runs' noise, after a recalibration
+    #: shape (n_units, 6): what it does to the readings, by either sign that has a meaning
+    changes: tuple[FloatArray, ...]
+    answers: tuple[Answer, ...] = ()  #: how the campaigns with it went
+
+    def times(self, what: str) -> int:
+        """Return how often a field of `Answer` is true."""
+        return sum(getattr(answer, what) for answer in self.answers)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return it as plain JSON values."""
+        document = {
+            "size": self.size,
+            "unit": self.unit,
+            "signal": round(self.signal, 2),
+            "planted": len(self.answers),
+            "seen": self.times("seen"),
+            "left_open": self.times("open"),
+            "wrong": self.times("wrong"),
+        }
+        if self.outside:
+            return document
+        return document | {"form": self.form, "first": self.times("first"), "in_group": self.times("in_group")}
+
+    @property
+    def key(self) -> int:
+        """Seed of what is drawn for it."""
+        return crc32(f"{self.effect}/{self.size:.6g}".encode())

@@ -1,7 +1,8 @@
-"""A campaign driven again, with a planted effect and its own noise redrawn."""
+"""A campaign driven again, with a planted effect or an outside cause, and its own noise redrawn."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from calib.campaign.settings import FrontModel
 from calib.gap.observations.arrays import Observations
 from calib.plant.design import Design
-from calib.plant.world import Moment, World, build_world
+from calib.plant.world import Moment, World, build_world, standardised
 from calib.types import BoolArray, FloatArray, IntArray, floats
 
 #: of fewer units draws repeat: the next wider circle is taken
@@ -281,3 +282,77 @@ def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) 
         x_late, theta_late = x_late + world.latency_s * v, theta_late + world.latency_s * omega
     seen = world.seen_target(x_late, y_late, theta_late, world.ref_yaw_rad)
     return np.stack([distance, *seen, theta_late, path_m, theta], axis=1)
+
+
+SizedAct = Callable[[World, float], None]
+
+#: outside cause -> size at which it is tried first
+OUTSIDERS: Final = {"interaction": 1e-3, "one_speed": 2e-3, "left_turns": 1e-2, "unlogged": 1e-3}
+
+#: columns of this correlation are one
+ALIKE: Final = 0.9
+#: width of the resonance over its speed
+NARROW: Final = 0.1
+#: left turns tighter than this count
+TIGHT_PER_M: Final = 0.05
+
+
+def outsiders(replay: Replay, rng: np.random.Generator) -> dict[str, SizedAct | str]:
+    """Return each outside cause, or why this campaign cannot have it."""
+    columns = _two_columns(replay)
+    speeds = np.unique(np.round(replay.design.speed_mps, 2))
+    condition = replay.observations.condition
+    n_repeated = int((np.bincount(condition) > 1).sum())
+    drawn = rng.standard_normal((2, int(condition.max()) + 1))
+    turns_left = bool((replay.observations.turn_rad > 0).any())
+    crossed = None if columns is None else _on_both_radii(_standard(columns[0]) * _standard(columns[1]))
+    return {
+        "interaction": crossed or "no two columns vary apart",
+        "one_speed": "all runs have one speed" if len(speeds) < 2 else _one_speed(float(speeds[len(speeds) // 2])),
+        "left_turns": _left_turns if turns_left else "nothing turns left",
+        "unlogged": "fewer than three conditions have repeats" if n_repeated < 3 else _unlogged(drawn, condition),
+    }
+
+
+def _on_both_radii(share: FloatArray) -> SizedAct:
+    return lambda world, size: world.enlarge(size * share)
+
+
+def _standard(values: FloatArray) -> FloatArray:
+    return standardised(np.where(np.isfinite(values), values, np.nanmean(values)))
+
+
+def by_column(values: FloatArray) -> SizedAct:
+    """Return what makes both radii larger by a column (n_units,), in standard deviations."""
+    return _on_both_radii(_standard(values))
+
+
+def _two_columns(replay: Replay) -> tuple[FloatArray, FloatArray] | None:
+    design, observations = replay.design, replay.observations
+    order = np.arange(len(observations), dtype=np.float64)
+    driven = (design.temperature_C, design.speed_mps, design.minutes_under_load)
+    candidates = (observations.number("load_left_N"), *driven, observations.length_m, order)
+    varying = [v for v in candidates if np.isfinite(v).all() and np.std(v) > 1e-6 * (1e-3 + np.abs(np.mean(v)))]
+    return next((pair for pair in combinations(varying, 2) if abs(float(np.corrcoef(*pair)[0, 1])) < ALIKE), None)
+
+
+def _one_speed(at_mps: float) -> SizedAct:
+    def act(world: World, size: float) -> None:
+        def during(now: Moment) -> None:
+            now.roll_more(size * np.exp(-(((np.abs(now.v_mps) - at_mps) / (NARROW * at_mps)) ** 2)))
+
+        world.during.append(during)
+
+    return act
+
+
+def _left_turns(world: World, size: float) -> None:
+    def during(now: Moment) -> None:
+        now.track += size * (now.curvature_per_m * np.sign(now.v_mps) > TIGHT_PER_M)
+
+    world.during.append(during)
+
+
+def _unlogged(drawn: FloatArray, condition: IntArray) -> SizedAct:
+    left, right = drawn[0, condition], 0.7 * (drawn[0, condition] + drawn[1, condition])
+    return lambda world, size: world.enlarge(size * left, size * right)

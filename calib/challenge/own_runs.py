@@ -1,5 +1,6 @@
-"""What this lab's data would find, and how often wrongly, by planting and diagnosing."""
+"""What this lab's data would find, and how often wrongly: known effects and outside causes planted and diagnosed."""
 
+import re
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -9,16 +10,190 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign, Logs
-from calib.challenge.judge import Answer, answer_of
-from calib.challenge.own_plants import Plant, Size, parse_sizes, plants_of
-from calib.challenge.own_replay import OwnNoise, Replay, own_noise
+from calib.challenge.cases import ONE_SIGN
+from calib.challenge.judge import Answer, Plant, answer_of
+from calib.challenge.own_replay import OUTSIDERS, OwnNoise, Replay, SizedAct, by_column, outsiders, own_noise
 from calib.challenge.score import clopper_pearson
 from calib.challenge.seal import each
 from calib.documents import plain
-from calib.errors import RefusedError
+from calib.errors import BadInputError, RefusedError
+from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.observations.arrays import Observations
+from calib.plant.effects import effects as plant_effects
+from calib.plant.effects import forms_of
+from calib.plant.signal import CALIBRATION, strength
+from calib.plant.world import Form, World, scaled
 from calib.types import FloatArray, Progress, grouped, silent
+
+#: what logged counts cannot be made to show
+NOT_PLANTED: Final = {
+    "encoder_gross": "a blunder is found before the search, by trial",
+    "integration_scheme": "it is in the simulator, not in the vehicle",
+    "path_weave": "it needs runs without logs",
+}
+#: share left beside a recalibration, below which an effect cannot be asked for
+ABSORBED: Final = 0.02
+#: what calibrates a front wheel that alone drives the odometry
+STEERED: Final = ("steering_zero", "steering_scale")
+#: what only the front wheel shows
+OF_THE_FRONT: Final = (*STEERED, "steering_backlash", "steering_delay", "drive_slip")
+#: of the path and of the heading: a larger change is no small effect
+LARGEST_SHARE, LARGEST_RAD = 0.2, 1.0
+_SIZE: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*([sx]?)\s*")
+_RELATIVE_STEP: Final = 1e-4
+
+
+#: how large an effect is planted; ``s``: a signal; ``x``: times the typical size; empty: in the effect's unit
+Size = tuple[float, str]
+
+
+def parse_sizes(text: str) -> tuple[Size, ...]:
+    """Return sizes such as ``10s,2x,0.01``; see `Size`."""
+    sizes = []
+    for part in text.split(","):
+        match = _SIZE.fullmatch(part)
+        if match is None or float(match[1]) == 0.0:
+            raise BadInputError(
+                f"sizes: found {part.strip()!r:.40}; expected numbers separated by commas, each as 10s (a "
+                "signal of 10), 2x (twice the typical size) or 0.01 (in the effect's unit); write them so"
+            )
+        sizes.append((float(match[1]), match[2]))
+    return tuple(sizes)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Candidate:
+    effect: str
+    act: SizedAct
+    typical: float = 5e-4
+    form: str = "plain"
+    unit: str = "1/sd"
+    family: str = ""
+    outside: bool = False
+
+
+def plants_of(
+    diagnosis: Diagnosis, replay: Replay, wanted: Sequence[str], sizes: Sequence[Size], rng: np.random.Generator
+) -> tuple[list[Plant], dict[str, str]]:
+    """Return what is planted, and the reason of what is not; see `Plant`.
+
+    `wanted`: effects and outside causes, empty: all that can show; BadInputError where one is unknown.
+    """
+    candidates, left_out = _candidates(diagnosis, replay, rng)
+    known = {*left_out, *(candidate.effect for candidate in candidates)}
+    for name in wanted:
+        if name not in known:
+            raise BadInputError(f"effect {name!r} found; expected one of {', '.join(sorted(known))}; name one of these")
+    if wanted:
+        candidates = [candidate for candidate in candidates if candidate.effect in wanted]
+        left_out = {name: reason for name, reason in left_out.items() if name in wanted}
+    absorbed = _absorbed(diagnosis, replay)
+    plants = []
+    for candidate in candidates:
+        sized, reason = _sized(candidate, diagnosis, replay, absorbed, sizes)
+        plants += sized
+        if reason:
+            left_out[candidate.effect] = reason
+    return plants, left_out
+
+
+def _candidates(
+    diagnosis: Diagnosis, replay: Replay, rng: np.random.Generator
+) -> tuple[list[_Candidate], dict[str, str]]:
+    candidates: list[_Candidate] = []
+    left_out: dict[str, str] = {}
+    for effect in diagnosis.effects:
+        if effect.id in NOT_PLANTED:
+            left_out[effect.id] = NOT_PLANTED[effect.id]
+        elif effect.id in OF_THE_FRONT and not diagnosis.observations.by_front:
+            left_out[effect.id] = "only the front wheel shows it"
+        elif effect.of_rear_wheels and diagnosis.observations.by_front:
+            left_out[effect.id] = "it is planted wheel by wheel, and one counter tells the mean of both"
+        elif not effect.forms(diagnosis.observations):
+            left_out[effect.id] = f"these runs cannot show it: it needs {effect.needs or 'other runs'}"
+        elif effect.id.startswith("covariate:"):
+            act = by_column(replay.observations.number(effect.id.partition(":")[2]))
+            candidates.append(_Candidate(effect.id, act, family=effect.family.value))
+        elif effect.id not in plant_effects():
+            left_out[effect.id] = "an effect of the campaign's own has no form to plant"
+        else:
+            forms = forms_of(effect.id)
+            # one that the library does not assume
+            form = next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
+            knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
+            act = partial(_planted, form, knobs)
+            known = (form.typical, form.form, form.unit, effect.family.value)
+            candidates.append(_Candidate(effect.id, act, *known))
+    for name, outsider in outsiders(replay, rng).items():
+        if isinstance(outsider, str):
+            left_out[name] = outsider
+        else:
+            candidates.append(_Candidate(name, outsider, OUTSIDERS[name], "outside", "1", outside=True))
+    return candidates, left_out
+
+
+def _planted(form: Form, knobs: dict[str, float], world: World, size: float) -> None:
+    form.act(world, np.full(len(world.design), size), knobs)
+
+
+def _absorbed(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
+
+    def of(name: str) -> FloatArray:
+        enlarged, size = scaled(name), np.full(len(replay.design), _RELATIVE_STEP)
+        change = replay.change(lambda world: enlarged(world, size, {}))
+        return _along_and_across(diagnosis, change) / _RELATIVE_STEP
+
+    left, right = of("left"), of("right")
+    if diagnosis.observations.by_front:
+        both = 0.5 * (left + right)
+        return np.stack([both, both, np.zeros_like(both)], axis=2)
+    return np.stack([left, right, of("track")], axis=2)
+
+
+def _along_and_across(diagnosis: Diagnosis, change: FloatArray) -> FloatArray:
+    turned = change.copy()
+    turned[:, 1], turned[:, 2] = diagnosis.nominal.to_end_frame(change[:, 1], change[:, 2])
+    return np.where(diagnosis.observations.usable, turned, np.nan)
+
+
+def _signal(diagnosis: Diagnosis, change: FloatArray, absorbed: FloatArray | None) -> float:
+    return strength(_along_and_across(diagnosis, change), diagnosis.noise.covariance, absorbed)
+
+
+def _sized(
+    given: _Candidate, diagnosis: Diagnosis, replay: Replay, absorbed: FloatArray, sizes: Sequence[Size]
+) -> tuple[list[Plant], str]:
+    level = given.effect not in (*CALIBRATION, *STEERED)
+    free = absorbed if level else None
+
+    def change(size: float) -> FloatArray:
+        return replay.change(lambda world: given.act(world, size), level=level)
+
+    small = change(given.typical)
+    whole, left = _signal(diagnosis, small, None), _signal(diagnosis, small, free)
+    if not left > ABSORBED * whole:
+        return [], "these runs cannot show it" + (": a recalibration takes it up" if whole > 0 else "")
+    plants = []
+    for wanted, scale in sizes:
+        # an outside cause has no unit
+        if given.outside and scale != "s":
+            continue
+        value = {"s": given.typical * wanted / left, "x": given.typical * wanted}.get(scale, wanted)
+        for _ in range(3 if scale == "s" else 0):
+            reached = _signal(diagnosis, change(value), free)
+            value *= (wanted / max(reached, 1e-9)) ** (0.5 if given.effect == "beam_misalignment" else 1.0)
+        value = float(f"{value:.4g}")
+        signs = (1.0,) if given.effect in ONE_SIGN else (1.0, -1.0)
+        changes = tuple(change(sign * value) for sign in signs)
+        moved = np.hypot(*changes[0][:, 1:3].T) / np.maximum(replay.observations.length_m, 1e-3)
+        if (moved > LARGEST_SHARE).any() or (np.abs(changes[0][:, 3]) > LARGEST_RAD).any():
+            continue
+        reached = _signal(diagnosis, changes[0], free)
+        known = (given.effect, given.form, given.outside, given.family)
+        plants.append(Plant(*known, value, given.unit, reached, changes))
+    return plants, "" if plants else "a size that shows would have to be out of all proportion"
+
 
 FORMAT: Final = "calib-challenge-own/1"
 #: largest share of false alarms, or wrong names

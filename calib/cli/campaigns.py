@@ -208,7 +208,7 @@ def simulate(
 
     from numpy.random import default_rng
 
-    from calib.plant.fleet import FleetSize, FleetTruth, PosedTruth, make_fleet, make_posed_fleet
+    from calib.plant.make import FleetSize, FleetTruth, PosedTruth, make_fleet, make_posed_fleet
 
     # a folder that is there may be added to
     if into.is_dir() and not terminal.forced():

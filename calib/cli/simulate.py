@@ -329,8 +329,7 @@ def own(
     Example: calib challenge own sample_runs/yard --effects track_width,temperature_radius --planted 3
     """
     from calib.campaign.read import read_campaign
-    from calib.challenge.own_plants import parse_sizes
-    from calib.challenge.own_runs import challenge_own
+    from calib.challenge.own_runs import challenge_own, parse_sizes
     from calib.reporting.topics.fleet import own_content
 
     names = tuple(filter(None, map(str.strip, (effects or "").split(","))))

@@ -1,4 +1,4 @@
-"""The drive itself: fine time steps, all runs at once, each closed on its own odometry."""
+"""The drive itself: fine time steps, all runs at once, each closed on its own odometry; and what instruments read."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -270,3 +270,65 @@ def _stops(world: World, tables: RouteTables) -> FloatArray:
     stop_m = np.where(order <= design.stops, tables.end_m * order / (design.stops + 1), np.inf)
     end_m = np.where(design.flying, tables.end_m + 50.0, tables.end_m)
     return np.where(order == design.stops + 1, end_m, stop_m)
+
+
+_STEER_STEP_RAD: Final = 5e-4
+
+
+def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArray:
+    """Return the pose reference without reading noise, shape (3, n_frames, n_runs)."""
+    late = world.latency_s * record.v_mps
+    late = np.minimum(late, np.hypot(record.x_m, record.y_m))
+    curvature = record.omega_radps / np.where(record.v_mps > 1e-9, record.v_mps, 1.0)
+    theta = record.theta_rad - np.where(record.v_mps > 0, late * curvature, 0.0)
+    x, y = record.x_m - late * np.cos(record.theta_rad), record.y_m - late * np.sin(record.theta_rad)
+    x, y = world.seen_target(x, y, theta, world.ref_yaw_rad + noise.start_heading_rad)
+    return np.stack([x, y, theta + noise.start_heading_rad])
+
+
+def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantise: bool = True) -> FloatArray:
+    """Return steering readings, shape (n_frames, n_runs)."""
+    steer = record.late_rad
+    if world.steer_backlash_rad.any():
+        half = 0.5 * world.steer_backlash_rad
+        shown = np.empty_like(steer)
+        at = steer[0]
+        for number, angle in enumerate(steer):
+            at = np.clip(at, angle - half, angle + half)
+            shown[number] = at
+        steer = shown
+    steer = world.steer_scale * steer + world.steer_zero_rad + noise.steer_rad
+    if noise.reading_rad:
+        steer = steer + noise.reading_rad * np.random.default_rng([noise.seed, 8]).standard_normal(steer.shape)
+    return np.round(steer / _STEER_STEP_RAD) * _STEER_STEP_RAD if quantise else steer
+
+
+def with_blunder(world: World, counts: FloatArray) -> FloatArray:
+    """Return counters (3, ...) as the world's blunder, if any, leaves them."""
+    if not world.blunder:
+        return counts
+    struck = world.blunder_runs > 0
+    left, right, front = counts
+    faulty = {
+        "double_left": (2 * left, right),
+        "quad_both": (4 * left, 4 * right),
+        "pi_right": (left, np.round(np.pi * right)),
+        "swapped": (right, left),
+        "sign_left": (-left, right),
+        "half_right": (left, np.floor(0.5 * right)),
+    }[world.blunder]
+    return np.stack([np.where(struck, faulty[0], left), np.where(struck, faulty[1], right), front])
+
+
+def simulated_poses(world: World, record: Record) -> FloatArray:
+    """Return an outside simulator's end poses, shape (3, n_runs), by exact arcs or (`world.euler`) Euler steps."""
+    per_rad = world.design.counts_per_rev / (2 * np.pi)
+    left, right = (record.counts[side] / per_rad for side in (0, 1))
+    left_m, right_m = left * world.believed_left_m, right * world.believed_right_m
+    theta = (right_m - left_m) / world.model.track_m
+    way = np.diff(0.5 * (left_m + right_m), axis=0)
+    turn = np.diff(theta, axis=0)
+    heading = np.where(world.euler > 0, theta[1:], 0.5 * (theta[1:] + theta[:-1]))
+    chord = np.where(world.euler > 0, way, way * np.sinc(turn / (2 * np.pi)))
+    x, y = np.sum(chord * np.cos(heading), axis=0), np.sum(chord * np.sin(heading), axis=0)
+    return np.stack([x, y, theta[-1]])

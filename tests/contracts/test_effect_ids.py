@@ -19,7 +19,7 @@ EXEMPT = {
     # which planted effects have no sign, and what each needs to show
     "challenge/cases.py",
     # which of the plant's effects a replay of logged counts cannot drive
-    "challenge/own_plants.py",
+    "challenge/own_runs.py",
     # which planted parameter is which fitted one
     "challenge/judge.py",
     # a parameter of the vehicle, called in the geometry's format as the effect that a wrong one leaves

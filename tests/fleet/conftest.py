@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.plant.fleet import FleetSize, FleetTruth, make_fleet
+from calib.plant.make import FleetSize, FleetTruth, make_fleet
 
 pytest.importorskip("pyarrow", reason="the extra parquet is not installed")
 

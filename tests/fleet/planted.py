@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.fleet.run import FleetView, view_of
 from calib.fleet.vehicle import PartSums, VehicleRecord, WheelSums, record_of
-from calib.plant.fleet import COUNTS_PER_REV, FleetSize, FleetTruth, PlannedFleet, plan_fleet
+from calib.plant.make import COUNTS_PER_REV, FleetSize, FleetTruth, PlannedFleet, plan_fleet
 
 NOMINAL_M, REFERENCE_N = 0.1, 300.0
 

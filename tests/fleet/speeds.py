@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.plant.fleet import FleetSize, make_fleet
+from calib.plant.make import FleetSize, make_fleet
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -19,7 +19,7 @@ from calib.fleet import run
 from calib.fleet.run import Fleet, fit_fleet
 from calib.fleet.store import SUMS, one_line
 from calib.fleet.workers import Engine, engine
-from calib.plant.fleet import FleetSize, FleetTruth, make_fleet
+from calib.plant.make import FleetSize, FleetTruth, make_fleet
 from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit
 from calib.reporting.formatting import to_text

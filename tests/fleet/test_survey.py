@@ -18,7 +18,7 @@ from calib.fleet.comparison import VehicleResult, shared_causes
 from calib.fleet.run import Survey, survey_fleet
 from calib.fleet.store import Member
 from calib.kinematics.estimate import estimate_geometry
-from calib.plant.fleet import make_posed_fleet
+from calib.plant.make import make_posed_fleet
 from calib.reporting.formatting import to_text
 from calib.reporting.pages import write_fleet
 from calib.reporting.topics.fleet import fleet_content

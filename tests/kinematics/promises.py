@@ -16,8 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
-from calib.gap.plan.routes import Dimensions, route_of
+from calib.gap.plan.planned_runs import Dimensions, Measured, PlannedRun, drive, route_of
 from calib.kinematics.assemble import Promise, promised
 from calib.kinematics.drives import GYRO_SCALE_STD
 from calib.kinematics.estimate import estimate_geometry

@@ -15,8 +15,7 @@ from calib.campaign.model import Logs
 from calib.campaign.read import read_campaign
 from calib.cli.main import run
 from calib.gap.plan.next_runs import with_next
-from calib.gap.plan.planned_runs import Measured, PlannedRun, drive, joined
-from calib.gap.plan.routes import Dimensions
+from calib.gap.plan.planned_runs import Dimensions, Measured, PlannedRun, drive, joined
 from calib.kinematics.assemble import Promise, promised
 from calib.kinematics.drives import first_scales
 from calib.kinematics.estimate import estimate_geometry

@@ -9,8 +9,8 @@ import pytest
 
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design, good_design
-from calib.plant.drive import drive
-from calib.plant.make import apply_causes, make_campaign, simulated_poses
+from calib.plant.drive import drive, simulated_poses
+from calib.plant.make import apply_causes, make_campaign
 from calib.plant.world import Cause, Noise, build_world, draw_noise, quiet, wheel_loads
 from calib.vehicle import Vehicle
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
-from calib.gap.localise.covariates import CovariateResult
-from calib.gap.localise.locate import ChannelGap, GapLocation, RunDeviation
+from calib.gap.localise.locate import ChannelGap, CovariateResult, GapLocation, RunDeviation
 from calib.gap.observations.arrays import Channel
 from calib.gap.plan.identifiability import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun

@@ -12,7 +12,7 @@ from calib.campaign.read import SETTINGS
 from calib.campaign.settings import OdometryModel
 from calib.documents import plain
 from calib.errors import COVARIATES, BadInputError, refuse_beyond
-from calib.gap.effects import encoder, floor, load, path, radii, reference, steering, turning
+from calib.gap.effects import encoder, floor, load, radii, reference, simulator, steering, turning
 from calib.gap.effects.columns import (
     COVARIATE_PREFIX,
     Covariate,
@@ -46,7 +46,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     encoder.WheelEccentricity,
     turning.CurveLoadTransfer,
     turning.LoadDependentTrack,
-    path.BrakingSkid,
+    radii.BrakingSkid,
     radii.SpeedRadius,
     radii.TemperatureRadius,
     radii.Wear,
@@ -78,8 +78,8 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     floor.FloorSlope,
     floor.FloorZone,
     floor.FloorUndulation,
-    path.PathWeave,
-    path.IntegrationScheme,
+    radii.PathWeave,
+    simulator.IntegrationScheme,
 )
 #: id -> class
 REGISTRY: Final = {effect.id: effect for effect in EFFECTS}

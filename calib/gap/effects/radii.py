@@ -1,7 +1,11 @@
-"""Radii and track off by what a plain recalibration absorbs, or drifting with temperature, use, session or speed."""
+"""Radii and track off by what a plain recalibration absorbs, or drifting with temperature, use, session or speed.
+
+And what seems to be of the radii: skids at stops, a path that weaves.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar, Final
 
 import numpy as np
@@ -18,11 +22,21 @@ from calib.gap.effects.effect import (
     always,
     varies,
 )
-from calib.gap.effects.quantities import driven_speed_mps, numbered_sessions, same_speed_mps, session_steps
-from calib.gap.effects.steering import angle_error, has_front
-from calib.gap.observations.arrays import Observations
+from calib.gap.effects.quantities import (
+    curvature_per_m,
+    driven_speed_mps,
+    numbered_sessions,
+    on_the_spot,
+    same_speed_mps,
+    session_steps,
+    standstill_mps,
+)
+from calib.gap.effects.steering import angle_error, has_front, rate_per_s
+from calib.gap.observations.arrays import STRAIGHT_RAD, Observations
+from calib.gap.predict import Path, predict
 from calib.gap.steps import Perturbation
-from calib.types import FloatArray
+from calib.radius.path_length import whole_period_excess
+from calib.types import BoolArray, FloatArray
 from calib.vehicle import SKID_TRACK
 
 
@@ -241,3 +255,135 @@ class AnySpeed(SpeedRadius):
         steps = [np.asarray(number == k, dtype=np.float64) for k in range(1, int(number.max()) + 1)]
         parameters = (Parameter("step", "1", typical=1e-3, largest=5e-3),) * len(steps)
         return [*line, Form(self.id, "any", parameters, lambda path: [acting_on(path, "both", step) for step in steps])]
+
+
+#: a stop lies in a curve where a way of one track turns by more, in radians
+LEAST_BEND_PER_TRACK: Final = 0.1
+
+
+class BrakingSkid(Effect):
+    """A slide at each stop, the same at every stop or growing with the square of the highest speed since the last one.
+
+    Wheels that creep let the vehicle turn on along its curve, locked ones do not, and a turn may end with the drive: in
+    curves the turn is a parameter of its own, the way along the curve that would turn it as much.
+    """
+
+    id = "braking_skid"
+    title = "skidding when it stops"
+    implausible = "latency, or an offset of the reference"
+    family = Family.SPEED
+    needs = "stops"
+    separates = "runs of one length with more and fewer stops"
+    shifts = ("radius_scale",)
+    zero_known = True
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """See `Effect`."""
+        bends = observations.of_parts(lambda part: np.abs(curvature_per_m(part)[stops(part)]))
+        if not len(bends):
+            return []
+        per_stop = Parameter("per_stop", "m", typical=5e-4, largest=1e-2, sign=1)
+        squared = Parameter("per_speed_squared", "s2/m", typical=2e-3, largest=4e-2, sign=1)
+        laws = [("the same at each stop", per_stop, 0), ("~ v^2", squared, 2)]
+        speed = driven_speed_mps(observations)
+        speeds_differ = varies(speed, same_speed_mps(speed), observations)
+        turns = observations.applied or bends.max() > LEAST_BEND_PER_TRACK / observations.model.track_m
+
+        def slides(path: Path, power: int) -> list[Perturbation]:
+            s, at = path.s, stops(path.s)
+            along = np.where(at, np.where(s.path_m < 0.0, -1.0, 1.0) * _highest_mps(s, at) ** power, 0.0)
+            turn = np.abs(along) * curvature_per_m(s)
+            return [Perturbation(along_m=along), Perturbation(heading_rad=turn)][: 1 + turns]
+
+        return self.offer(
+            [
+                (label, (one, replace(one, name=f"turning_{one.name}"))[: 1 + turns], partial(slides, power=power))
+                for label, one, power in laws[: 1 + speeds_differ]
+            ],
+            by_parts=True,
+        )
+
+
+def _highest_mps(observations: Observations, at: BoolArray) -> FloatArray:
+    middle_m = observations.cumulative(observations.path_m) - 0.5 * observations.path_m
+    rate = np.abs(rate_per_s(observations, middle_m, 2))
+    edges = np.union1d(observations.starts, np.flatnonzero(at) + 1)
+    highest = np.maximum.reduceat(np.where(rate > 0.0, rate, np.abs(observations.speed_mps)), edges[:-1])
+    return np.repeat(highest, np.diff(edges))
+
+
+def stops(observations: Observations) -> BoolArray:
+    """Return the last moving step before each stop, shape (n_steps,).
+
+    A log that ends at less than half the driven speed ends in a stop. A run without a log stops once, at its end. The
+    axle of a vehicle that turns on the spot does not slide on.
+    """
+    speed = np.abs(observations.speed_mps)
+    last = np.zeros(len(observations.unit), dtype=bool)
+    last[observations.starts[1:] - 1] = True
+    spot = on_the_spot(observations, observations.turn_rad, observations.path_m) > 0.0
+    moving = (speed > standstill_mps(observations)[observations.unit]) & ~spot
+    follows = np.concatenate((moving[1:], [False]))
+    driven = np.nan_to_num(driven_speed_mps(observations))[observations.unit]
+    within = moving & ~last & ~follows
+    at_end = last & moving & (speed < 0.5 * driven)
+    return np.where(observations.from_log[observations.unit], within | at_end, last)
+
+
+class PathWeave(Effect):
+    """Wheels roll (pi A / lambda)^2 further than the distance shows; the parameter is the share of the known weave.
+
+    A run with a log needs no such thing, its path is integrated; a run without one is taken as one arc, and an outside
+    simulator may have driven the straight line.
+    """
+
+    id = "path_weave"
+    title = "a path that weaves about its line"
+    implausible = "both effective radii, or a weave other than noted"
+    family = Family.PATH
+    needs = "amplitude_m and wavelength_m, or logs beside an outside simulation"
+    separates = "the log within a run"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """See `Effect`."""
+        amplitude, wavelength = observations.number("amplitude_m"), observations.number("wavelength_m")
+        noted = np.zeros(len(observations))
+        weaves = ~observations.from_log & (amplitude > 0.0) & (wavelength > 0.0)
+        if weaves.any():
+            noted[weaves] = whole_period_excess(amplitude[weaves], wavelength[weaves])
+        outside = observations.from_log & np.isfinite(observations.simulated[:, :2]).any(axis=1)
+        logged = np.where(outside, _weave_of_logs(observations), 0.0) if outside.any() else np.zeros(len(observations))
+        # nobody measured the heading, and every run ends at one place of its wave, but not that where it began
+        guided = weaves & observations.guided
+        swing = np.zeros(len(observations))
+        swing[guided] = 2.0 * np.pi * amplitude[guided] / wavelength[guided]
+        offered: list[tuple[str, FloatArray, list[Perturbation]]] = []
+        if (noted > 1e-7).any():
+            offered.append(("by the noted amplitude", noted, []))
+            if guided.any():
+                swung = Perturbation.on_readings(observations, heading=swing)
+                offered.append(("by the noted amplitude, turned at the end", noted, [swung]))
+        if (logged > 1e-7).any():
+            offered.append(("by the logs", logged, []))
+        share = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
+        turned = Parameter("end_heading", "1", typical=1.0, largest=2.0)
+
+        def form(label: str, excess: FloatArray, further: list[Perturbation]) -> Form:
+            shorter = -excess / (1.0 + excess)
+
+            def perturbations(path: Path) -> list[Perturbation]:
+                along, lateral = path.to_end_frame(shorter * path.end[:, 0], shorter * path.end[:, 1])
+                distance = shorter * path.distance_m
+                at_end = Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)
+                return [at_end, *further]
+
+            return Form(self.id, label, (share, turned)[: 1 + len(further)], perturbations, tries=len(offered))
+
+        return [form(*each) for each in offered]
+
+
+def _weave_of_logs(observations: Observations) -> FloatArray:
+    path = predict(observations)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        excess = path.of_parts(lambda part: part.s.total(np.abs(part.steps.ds_m))) / np.abs(path.line_m) - 1.0
+    return np.where((np.abs(path.end[:, 2]) < STRAIGHT_RAD) & np.isfinite(excess), excess, 0.0)

@@ -1,14 +1,15 @@
-"""Parameters of the user's own simulator as effects: what a step of each changed in its end poses."""
+"""Parameters of the user's own simulator as effects: what a step of each changed in its end poses; its integration."""
 
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
 
 from calib.gap.effects.effect import Effect, Family, Form, Parameter, Perturbations
-from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
+from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
 from calib.gap.predict import Path, predict
 from calib.gap.steps import Perturbation
 from calib.types import FloatArray
@@ -282,3 +283,43 @@ def with_zero(effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Map
     other = copy(effect)
     other.forms = forms  # type: ignore[method-assign]
     return other
+
+
+class IntegrationScheme(Effect):
+    """Exact arcs less steps along the heading at their end (Eq. 7 as printed) or start (Euler): e_n ~ v dt theta / 2.
+
+    Calib's own odometry integrates exact arcs, so only an outside simulator's poses can have it. The difference is
+    computed on the log's steps and grows with them: a share of 1 means that the simulator takes the log's steps.
+    """
+
+    id = "integration_scheme"
+    title = "a simulator that integrates the heading coarsely"
+    implausible = "latency, or a start heading that differs"
+    family = Family.PATH
+    needs = "poses of an outside simulator on runs that turn"
+    separates = "none: it is computed from the logs"
+
+    def forms(self, observations: Observations) -> list[Form]:
+        """See `Effect`."""
+        posed = np.isfinite(observations.simulated[:, POSE]).all(axis=1) & observations.usable[:, Channel.ALONG]
+        outside = observations.from_log & posed
+        if not outside.any():
+            return []
+        parameter = Parameter("share", "1", typical=1.0, largest=2.0, sign=1)
+
+        def coarse(path: Path, back: float) -> list[Perturbation]:
+            heading = observations.cumulative(path.steps.turn_rad) - back * path.steps.turn_rad
+            end_x, end_y = path.end[:, 0], path.end[:, 1]
+            x = np.where(outside, end_x - observations.total(path.steps.ds_m * np.cos(heading)), 0.0)
+            y = np.where(outside, end_y - observations.total(path.steps.ds_m * np.sin(heading)), 0.0)
+            along, lateral = path.to_end_frame(x, y)
+            # a laser's simulated distance was taken from the same pose
+            chord = (end_x * x + end_y * y) / np.maximum(np.hypot(end_x, end_y), 1e-9)
+            laser = np.where(observations.axis == 1, x, np.where(observations.axis == 2, chord, 0.0))
+            distance = np.where(np.isfinite(observations.simulated[:, 0]), laser, 0.0)
+            return [Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)]
+
+        schemes = [("end-point heading", 0.0), ("start heading (Euler)", 1.0)]
+        forms = self.offer([(label, (parameter,), partial(coarse, back=back)) for label, back in schemes])
+        reading = coarse(predict(observations), 0.0)[0].reading
+        return forms if reading is not None and float(np.abs(reading).max()) > 1e-5 else []

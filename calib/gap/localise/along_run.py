@@ -1,7 +1,7 @@
-"""The gap along each run, and the stretch of a route where it grows: a zone of the ground, a joint."""
+"""The gap along each run, and where in it it opens: at turns, stops, or on a stretch of a route, a zone or a joint."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -10,8 +10,8 @@ from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.wheels import on_one_axle
 from calib.documents import plain_fields
 from calib.gap.effects.quantities import MOVING_MPS
-from calib.gap.localise.covariates import BOOTSTRAP_DRAWS
 from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.observations.from_campaign import edges_along
 from calib.types import FloatArray, IntArray
 
 #: fields of a place that is a stretch
@@ -46,6 +46,15 @@ class PlaceResult:
         return {key: value for key, value in document.items() if key not in absent}
 
 
+#: chance of any false finding in a table
+FALSE_FINDING_PROBABILITY: Final = 0.05
+BOOTSTRAP_DRAWS: Final = 300
+WINDOW_LENGTH_M: Final = 1.0
+MIN_WINDOWS: Final = 10
+MIN_STOPS: Final = 5
+MIN_TURN_RAD_PER_M: Final = 0.1
+#: runs below which errors are not clustered
+MIN_CLUSTERS: Final = 8
 MIN_SAMPLES: Final = 10
 COUNT_COLUMNS: Final = ("t_s", "counts_left", "counts_right")
 RANGE_COLUMNS: Final = ("range_m",)
@@ -248,3 +257,98 @@ def _stretches(n: int) -> tuple[IntArray, IntArray]:
     ends = starts + ends
     ok = (ends < n - 1) & (starts > 0)
     return starts[ok], ends[ok]
+
+
+def find_places(
+    campaign: Campaign, observations: Observations, rng: np.random.Generator
+) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
+    """Return the places inside the runs where the gap opens, smallest p first, and what cannot be asked.
+
+    Beside each run's offset and slope: on a stretch over which the gap grows in all runs of a route, in turns or
+    straights, at stops; p values are multiplied by the number of places.
+    """
+    if np.isfinite(observations.simulated).any():
+        return (), ("the simulated ends have no path: where inside a run the gap opens cannot be determined",)
+    traces = traces_of(campaign.included(), observations)
+    if not traces:
+        note = "no log has a continuous reference or range_m: where inside a run the gap opens cannot be determined"
+        return (), (note,)
+    notes: list[str] = []
+    candidates = compare_windows(traces)
+    n_tests = len(candidates)
+    for kind in dict.fromkeys(trace.kind for trace in traces):
+        group = [trace for trace in traces if trace.kind == kind]
+        if len(group) < MIN_TRACED_RUNS:
+            few = f"fewer than {MIN_TRACED_RUNS} runs with a trace; no place along it is sought"
+            notes.append(f"{kind or 'a route'}: {few}")
+            continue
+        both_ways = len({trace.back for trace in group}) == 2
+        for channel in TRACED_CHANNELS:
+            for signed in (False, True) if both_ways and channel is Channel.HEADING else (False,):
+                if stretch := scan_route(kind, group, channel, rng, signed=signed):
+                    candidates.append(stretch[0])
+                    n_tests += stretch[1]
+    corrected = (replace(place, p_value=min(1.0, place.p_value * max(n_tests, 1))) for place in candidates)
+    found = [place for place in corrected if place.p_value <= FALSE_FINDING_PROBABILITY]
+    return tuple(sorted(found, key=lambda place: place.p_value)), tuple(notes)
+
+
+def compare_windows(traces: list[Trace]) -> list[PlaceResult]:
+    """Return how much of the gap correlates with turns and stops, beside the way."""
+    gained, run = _cut(traces)
+    way, turn, stops = (gained[name] for name in ("way_m", "turn_rad", "stops"))
+    lines = []
+    for channel, name in TRACED_CHANNELS.items():
+        on = np.isfinite(gained[name]) & (way > 1e-6)
+        turning = on & (np.abs(turn) > MIN_TURN_RAD_PER_M * way)
+        questions = []
+        if turning.sum() >= MIN_WINDOWS and (on & ~turning).sum() >= MIN_WINDOWS:
+            questions.append(("turns", turn, "per rad of signed turn"))
+            questions.append(("turns", np.abs(turn), "per rad of total absolute rotation"))
+        if (stops[on] > 0).sum() >= MIN_STOPS and (stops[on] == 0).sum() >= MIN_STOPS:
+            questions.append(("stops", stops, "per stop"))
+        for where, values, what in questions:
+            lines.append(_line(np.stack([way, values, gained[name]], axis=1)[on], run[on], channel, where, what))
+    return lines
+
+
+def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
+    edges = [edges_along(trace.way_m, float(trace.way_m[-1]) / WINDOW_LENGTH_M) for trace in traces]
+    gained = {
+        name: np.concatenate([np.diff(getattr(trace, name)[at]) for trace, at in zip(traces, edges, strict=True)])
+        for name in (*TRACED_CHANNELS.values(), "way_m", "turn_rad", "stops")
+    }
+    run = np.repeat([trace.run_id for trace in traces], [len(at) - 1 for at in edges])
+    return gained, np.unique(run, return_inverse=True)[1]
+
+
+def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what: str) -> PlaceResult:
+    from scipy.special import stdtr
+
+    size, error, dof = _slope(windows[:, :2], windows[:, 2], run)
+    return PlaceResult(
+        where=where,
+        channel=channel,
+        what=what,
+        size=size,
+        ci95=(size - 2 * error, size + 2 * error),
+        unit=f"{channel.unit}/rad" if where == "turns" else channel.unit,
+        p_value=float(2.0 * stdtr(dof, -abs(size) / max(error, 1e-15))),
+        n_runs=len(np.unique(run)),
+    )
+
+
+def _slope(design: FloatArray, gap: FloatArray, run: IntArray) -> tuple[float, float, float]:
+    gram = np.linalg.inv(design.T @ design + 1e-12 * np.eye(2))
+    beta = gram @ (design.T @ gap)
+    left = gap - design @ beta
+    runs, cluster = np.unique(run, return_inverse=True)
+    if len(runs) >= MIN_CLUSTERS:
+        summed = np.zeros((len(runs), 2))
+        np.add.at(summed, cluster, design * left[:, None])
+        dof = float(len(runs) - 2)
+        middle = summed.T @ summed * (len(runs) / dof)
+    else:
+        dof = float(len(gap) - 2)
+        middle = design.T @ design * float(left @ left) / dof
+    return float(beta[1]), float(np.sqrt((gram @ middle @ gram)[1, 1])), dof

@@ -1,4 +1,7 @@
-"""Where the gap lies: by channel, covariate, run, and place inside the runs."""
+"""Where the gap lies: by channel, covariate, run, and place inside the runs.
+
+What it correlates with: F tests on each run's covariates and each wheel's travel.
+"""
 
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -7,19 +10,14 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.documents import plain_fields
+from calib.gap.effects.columns import covariate_columns
+from calib.gap.effects.quantities import driven_speed_mps
+from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
 from calib.gap.inference.noise import Noise
-from calib.gap.localise.along_run import MIN_TRACED_RUNS, TRACED_CHANNELS, PlaceResult, Trace, scan_route, traces_of
-from calib.gap.localise.covariates import (
-    BOOTSTRAP_DRAWS,
-    CovariateResult,
-    covariate_test,
-    covariate_values,
-    wheel_tests,
-)
-from calib.gap.observations.arrays import Channel, Observations
-from calib.gap.observations.from_campaign import edges_along
+from calib.gap.localise.along_run import BOOTSTRAP_DRAWS, FALSE_FINDING_PROBABILITY, PlaceResult, find_places
+from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
 from calib.gap.predict import Path
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +66,32 @@ class RunDeviation:
         return plain_fields(self, channel=self.channel.label)
 
 
+#: name of all channels together
+ALL_CHANNELS: Final = "all"
+
+
+@dataclass(frozen=True, slots=True)
+class CovariateResult:
+    """What the gap correlates with."""
+
+    name: str  #: with its unit suffix; ``left wheel`` and ``right wheel`` for travel
+    channel: Channel | None  #: where it shows most; None: all together
+    share: float  #: of the variance above the noise level, 0 to 1
+    ci95: tuple[float, float] | None  #: bootstrap interval of the share
+    p_value: float  #: of no dependence, times the number of channels looked at
+    significant: bool  #: at a chance of 5 % of any false line in the table
+    n_units: int = 0
+
+    @property
+    def channel_label(self) -> str:
+        """Name of the channel, ``all`` for all together."""
+        return ALL_CHANNELS if self.channel is None else self.channel.label
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the line as plain JSON values."""
+        return plain_fields(self, channel=self.channel_label)
+
+
 @dataclass(frozen=True, slots=True)
 class GapLocation:
     """Where a gap lies."""
@@ -96,15 +120,7 @@ class GapLocation:
         return document
 
 
-#: chance of any false finding in the table
-FALSE_FINDING_PROBABILITY: Final = 0.05
 MAX_LISTED_RUNS: Final = 8
-WINDOW_LENGTH_M: Final = 1.0
-MIN_WINDOWS: Final = 10
-MIN_STOPS: Final = 5
-MIN_TURN_RAD_PER_M: Final = 0.1
-#: runs below which errors are not clustered
-MIN_CLUSTERS: Final = 8
 
 
 def locate(
@@ -125,7 +141,7 @@ def locate(
     causes fitted; `floor`: what the gap is shown against; `campaign`: the same runs with their logs.
     """
     observations, lines = nominal.s, _tested(nominal, noise, gap, rng)
-    places, notes = _find_places(campaign, observations, rng)
+    places, notes = find_places(campaign, observations, rng)
     channels, runs = _by_channel(observations, floor, gap), by_run(observations, floor, gap)
     rest = GapLocation(covariates=_tested(nominal, noise, left, rng))
     return GapLocation(channels=channels, covariates=lines, runs=runs, places=places, notes=notes, rest=rest)
@@ -187,93 +203,183 @@ def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
     return tuple(replace(one, significant=bool(significant)) for one, significant in zip(ordered, stands, strict=True))
 
 
-def _find_places(
-    campaign: Campaign, observations: Observations, rng: np.random.Generator
-) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
-    # beside each run's offset and slope: on a stretch over which the gap grows in all runs of a route, in turns or
-    # straights, at stops; p values are multiplied by the number of places
-    if np.isfinite(observations.simulated).any():
-        return (), ("the simulated ends have no path: where inside a run the gap opens cannot be determined",)
-    traces = traces_of(campaign.included(), observations)
-    if not traces:
-        note = "no log has a continuous reference or range_m: where inside a run the gap opens cannot be determined"
-        return (), (note,)
-    notes: list[str] = []
-    candidates = compare_windows(traces)
-    n_tests = len(candidates)
-    for kind in dict.fromkeys(trace.kind for trace in traces):
-        group = [trace for trace in traces if trace.kind == kind]
-        if len(group) < MIN_TRACED_RUNS:
-            few = f"fewer than {MIN_TRACED_RUNS} runs with a trace; no place along it is sought"
-            notes.append(f"{kind or 'a route'}: {few}")
-            continue
-        both_ways = len({trace.back for trace in group}) == 2
-        for channel in TRACED_CHANNELS:
-            for signed in (False, True) if both_ways and channel is Channel.HEADING else (False,):
-                if stretch := scan_route(kind, group, channel, rng, signed=signed):
-                    candidates.append(stretch[0])
-                    n_tests += stretch[1]
-    corrected = (replace(place, p_value=min(1.0, place.p_value * max(n_tests, 1))) for place in candidates)
-    found = [place for place in corrected if place.p_value <= FALSE_FINDING_PROBABILITY]
-    return tuple(sorted(found, key=lambda place: place.p_value)), tuple(notes)
+#: known values that a test needs
+MIN_RUNS: Final = 6
+#: of turns that differ by the wheels' noise, which the gap shares
+MIN_TURN_RAD: Final = 0.3
+MIN_LENGTH_VARIATION: Final = 0.05
+#: correlation beyond which wheels cannot be asked beside each other
+MAX_WHEEL_CORRELATION: Final = 0.9999
 
 
-def compare_windows(traces: list[Trace]) -> list[PlaceResult]:
-    """Return how much of the gap correlates with turns and stops, beside the way."""
-    gained, run = _cut(traces)
-    way, turn, stops = (gained[name] for name in ("way_m", "turn_rad", "stops"))
-    lines = []
-    for channel, name in TRACED_CHANNELS.items():
-        on = np.isfinite(gained[name]) & (way > 1e-6)
-        turning = on & (np.abs(turn) > MIN_TURN_RAD_PER_M * way)
-        questions = []
-        if turning.sum() >= MIN_WINDOWS and (on & ~turning).sum() >= MIN_WINDOWS:
-            questions.append(("turns", turn, "per rad of signed turn"))
-            questions.append(("turns", np.abs(turn), "per rad of total absolute rotation"))
-        if (stops[on] > 0).sum() >= MIN_STOPS and (stops[on] == 0).sum() >= MIN_STOPS:
-            questions.append(("stops", stops, "per stop"))
-        for where, values, what in questions:
-            lines.append(_line(np.stack([way, values, gained[name]], axis=1)[on], run[on], channel, where, what))
-    return lines
+def covariate_values(observations: Observations) -> dict[str, FloatArray | StrArray]:
+    """Return what varies and the gap may depend on, by name, (n_units,): numbers, or labels."""
+    number, labels = observations.number, observations.labels
+    load_left, load_right = observations.wheel_loads_N
+    by_wheels = observations.total(observations.turn_rad)
+    # the wheels' turn shares the gap's errors
+    turn = np.where(observations.usable[:, Channel.HEADING], observations.measured[:, Channel.HEADING], by_wheels)
+    speed = number("speed_mps")
+    values: dict[str, FloatArray | StrArray] = {"route": labels["kind"]}
+    values |= {name: labels[name] for name in ("session", "direction")}
+    values |= {name: number(name) for name in ("payload_kg", "load_left_N", "load_right_N")}
+    values |= {"load_sum_N": load_left + load_right, "load_difference_N": load_right - load_left}
+    values["speed_mps"] = speed if np.isfinite(speed).any() else driven_speed_mps(observations)
+    values |= {name: number(name) for name in ("temperature_C", "minutes_under_load", "travelled_km")}
+    if np.ptp(turn) > MIN_TURN_RAD:
+        turned = observations.total(np.abs(observations.turn_rad)) - np.abs(by_wheels - turn)
+        values |= {"turn": turn, "turn_absolute": np.maximum(turned, 0.0)}
+    if np.ptp(observations.length_m) > MIN_LENGTH_VARIATION * float(np.max(observations.length_m)):
+        values["length_m"] = observations.length_m
+    values |= {name: number(name) for name in ("amplitude_m", "wavelength_m", *covariate_columns(observations))}
+    return {name: column for name, column in values.items() if _varied(column)}
 
 
-def _cut(traces: list[Trace]) -> tuple[dict[str, FloatArray], IntArray]:
-    edges = [edges_along(trace.way_m, float(trace.way_m[-1]) / WINDOW_LENGTH_M) for trace in traces]
-    gained = {
-        name: np.concatenate([np.diff(getattr(trace, name)[at]) for trace, at in zip(traces, edges, strict=True)])
-        for name in (*TRACED_CHANNELS.values(), "way_m", "turn_rad", "stops")
-    }
-    run = np.repeat([trace.run_id for trace in traces], [len(at) - 1 for at in edges])
-    return gained, np.unique(run, return_inverse=True)[1]
+def _varied(values: FloatArray | StrArray) -> bool:
+    if values.dtype.kind == "f":
+        known = values[np.isfinite(values)]
+        return len(known) >= MIN_RUNS and float(np.ptp(known)) > 1e-9 * max(float(np.abs(known).max()), 1e-9)
+    return len(np.unique(values[values != ""])) > 1
 
 
-def _line(windows: FloatArray, run: IntArray, channel: Channel, where: str, what: str) -> PlaceResult:
-    from scipy.special import stdtr
+def covariate_test(
+    name: str, values: FloatArray | StrArray, scaled: FloatArray, weights: FloatArray, most_dof: float
+) -> CovariateResult | None:
+    """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
 
-    size, error, dof = _slope(windows[:, :2], windows[:, 2], run)
-    return PlaceResult(
-        where=where,
+    Returned is the channel of the smallest p, times the number of channels; not yet held to the table's error.
+    `scaled` (n_units, n_channels): gap over noise level, NaN where a unit lacks the channel; `weights` (n_draws,
+    n_units): how often the bootstrap draws each; `most_dof`: of the noise level; see `covariate_values`.
+    """
+    found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
+    if not found:
+        return None
+    p_values = [dependence.p_value(most_dof) for _, dependence in found]
+    channel, dependence = found[int(np.argmin(p_values))]
+    return CovariateResult(
+        name=name,
         channel=channel,
-        what=what,
-        size=size,
-        ci95=(size - 2 * error, size + 2 * error),
-        unit=f"{channel.unit}/rad" if where == "turns" else channel.unit,
-        p_value=float(2.0 * stdtr(dof, -abs(size) / max(error, 1e-15))),
-        n_runs=len(np.unique(run)),
+        share=float(dependence.shares(np.ones((1, len(dependence.y))))[0]),
+        ci95=interval(dependence.shares(weights[:, dependence.on])),
+        p_value=float(min(1.0, min(p_values) * len(found))),
+        significant=False,
+        n_units=int(dependence.on.sum()),
     )
 
 
-def _slope(design: FloatArray, gap: FloatArray, run: IntArray) -> tuple[float, float, float]:
-    gram = np.linalg.inv(design.T @ design + 1e-12 * np.eye(2))
-    beta = gram @ (design.T @ gap)
-    left = gap - design @ beta
-    runs, cluster = np.unique(run, return_inverse=True)
-    if len(runs) >= MIN_CLUSTERS:
-        summed = np.zeros((len(runs), 2))
-        np.add.at(summed, cluster, design * left[:, None])
-        dof = float(len(runs) - 2)
-        middle = summed.T @ summed * (len(runs) / dof)
-    else:
-        dof = float(len(gap) - 2)
-        middle = design.T @ design * float(left @ left) / dof
-    return float(beta[1]), float(np.sqrt((gram @ middle @ gram)[1, 1])), dof
+def interval(shares: FloatArray) -> tuple[float, float] | None:
+    """Return the middle 95 % of bootstrapped shares (n_draws,); None if most are unknown."""
+    known = shares[np.isfinite(shares)]
+    if len(known) < 0.5 * len(shares):
+        return None
+    return float(np.quantile(known, 0.025)), float(np.quantile(known, 0.975))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Dependence:
+    on: BoolArray
+    y: FloatArray
+    x: FloatArray | None
+    group: IntArray | None
+
+    @staticmethod
+    def of(values: FloatArray | StrArray, y: FloatArray) -> "_Dependence | None":
+        if values.dtype.kind == "f":
+            on = np.isfinite(y) & np.isfinite(values)
+            x = floats(values[on])
+            if on.sum() < MIN_RUNS or np.ptp(x) <= 1e-9 * max(float(np.abs(x).max()), 1e-9):
+                return None
+            return _Dependence(on, y[on], (x - x.mean()) / np.std(x), None)
+        on = np.isfinite(y) & (values != "")
+        names, group = np.unique(values[on], return_inverse=True)
+        if len(names) < 2 or on.sum() < max(MIN_RUNS, 2 * len(names)):
+            return None
+        return _Dependence(on, y[on], None, np.asarray(group, dtype=np.int64))
+
+    @property
+    def df(self) -> int:
+        return 1 if self.group is None else int(self.group.max())
+
+    def squares(self, weight: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        n = weight.sum(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = weight @ self.y / n
+            total = weight @ self.y**2 - n * mean**2
+            if self.group is None:
+                assert self.x is not None
+                mean_x = weight @ self.x / n
+                cross = weight @ (self.x * self.y) - n * mean * mean_x
+                explained = cross**2 / (weight @ self.x**2 - n * mean_x**2)
+            else:
+                member = (self.group[:, None] == np.arange(self.df + 1)).astype(np.float64)
+                size, summed = weight @ member, weight @ (member * self.y[:, None])
+                explained = np.where(size > 0, summed**2 / size, 0.0).sum(axis=1) - n * mean**2
+        return total, explained, n
+
+    def p_value(self, most_dof: float) -> float:
+        # the residual is no smaller or better known than the noise level
+        from scipy.special import fdtrc
+
+        total, explained, n = (float(part[0]) for part in self.squares(np.ones((1, len(self.y)))))
+        dof = n - self.df - 1.0
+        residual = max((total - explained) / dof, 1.0)
+        return float(fdtrc(self.df, min(dof, most_dof), max(explained, 0.0) / self.df / residual))
+
+    def shares(self, weight: FloatArray) -> FloatArray:
+        total, explained, n = self.squares(weight)
+        return _share(explained, self.df, total - explained, n - self.df - 1.0, total - (n - 1.0))
+
+
+def _share(explained: FloatArray, df: int, left: FloatArray, dof: FloatArray, beyond: FloatArray) -> FloatArray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        residual = np.maximum(left / np.maximum(dof, 1.0), 1.0)
+        return np.clip(np.where(beyond > 0, (explained - df * residual) / beyond, 0.0), 0.0, 1.0)
+
+
+def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> list[CovariateResult]:
+    """Return what left and right wheel's travel explain of the gap (n_units, n_channels), if they are told apart."""
+    from scipy.special import fdtrc
+
+    products, sizes = _products(nominal, noise, gap)
+    whole = products.sum(axis=0)
+    norm = np.sqrt(np.diag(whole)[:2])
+    if sizes.sum() < MIN_RUNS or not (norm > 0).all() or abs(whole[0, 1]) > MAX_WHEEL_CORRELATION * norm[0] * norm[1]:
+        return []
+    n_units, n = len(sizes), float(sizes.sum())
+    draws = rng.multinomial(n_units, np.full(n_units, 1.0 / n_units), BOOTSTRAP_DRAWS).astype(np.float64)
+    lines = []
+    for wheel, name in enumerate(("left wheel", "right wheel")):
+        explained, rest = _partial_squares(whole[None], wheel)
+        residual = max(float(rest[0]) / max(n - 2.0, 1.0), 1.0)
+        # without an intercept the noise level is as well known as by repeats
+        p = float(fdtrc(1.0, float(np.clip(noise.dof, 3.0, max(n - 2.0, 3.0))), float(explained[0]) / residual))
+        share = float(_shares(whole[None], np.array([n]), wheel)[0])
+        ci95 = interval(_shares(np.tensordot(draws, products, axes=1), draws @ sizes, wheel))
+        lines.append(CovariateResult(name, None, share, ci95, p, significant=False, n_units=n_units))
+    return lines
+
+
+def _products(nominal: Path, noise: Noise, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
+    usable = nominal.s.usable
+    columns = np.concatenate([nominal.calibration[:, :, :2] * CALIBRATION_SD[:2], gap[:, :, None]], axis=2)
+    white = whitened_rows(nominal, noise, columns)
+    unit = np.repeat(np.arange(len(usable))[:, None], N_CHANNELS, axis=1)[usable]
+    products = np.zeros((len(usable), 3, 3))
+    np.add.at(products, unit, white[:, :, None] * white[:, None, :])
+    return products, usable.sum(axis=1).astype(np.float64)
+
+
+def _shares(moments: FloatArray, count: FloatArray, wheel: int) -> FloatArray:
+    explained, rest = _partial_squares(moments, wheel)
+    return _share(explained, 1, rest, count - 2.0, moments[:, 2, 2] - count)
+
+
+def _partial_squares(moments: FloatArray, wheel: int) -> tuple[FloatArray, FloatArray]:
+    other = 1 - wheel
+    with np.errstate(all="ignore"):
+        ratio = moments[:, wheel, other] / moments[:, other, other]
+        own = moments[:, wheel, wheel] - ratio * moments[:, other, wheel]
+        right = moments[:, wheel, 2] - ratio * moments[:, other, 2]
+        by_other = moments[:, other, 2] ** 2 / moments[:, other, other]
+        explained = np.nan_to_num(right**2 / own)
+    return explained, np.maximum(moments[:, 2, 2] - by_other - explained, 0.0)

@@ -12,22 +12,67 @@ from calib.campaign.checks.design import FEWEST_OF_A_LAW, columns_as_one, sessio
 from calib.campaign.model import Campaign
 from calib.campaign.read import CLOSED, GYRO_TURN
 from calib.campaign.settings_file import load_toml, parse_settings
+from calib.campaign.wheels import odometry_source
 from calib.coefficients.sections import first_fault
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
 from calib.gap.effects.effect import Effect
+from calib.gap.effects.quantities import driven_speed_mps
 from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan import planned_runs
 from calib.gap.plan.identifiability import ENOUGH_SD, Apart, Signatures, Task, noise_at, tied, untied
-from calib.gap.plan.planned_runs import Measured, PlannedRun, drive, joined
-from calib.gap.plan.routes import DEFAULT_CORRIDOR_M, Dimensions, dimensions_of, route_of, size_of
+from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Dimensions, Measured, PlannedRun, drive, joined, route_of
 from calib.gap.predict import Path, predict
+from calib.odometry.routes import Route
 
+#: recorded distances of corridors
+CORRIDOR_RANGE_M: Final = (0.1, 500.0)
+#: track of the vehicles that routes are made for, from half to twice as much
+USUAL_TRACK_M: Final = 0.7
+#: least radius of a car's turn over its wheelbase: at a steering angle of 34 degrees
+LEAST_RADIUS: Final = 1.5
+#: slow over fast at most: else one speed was driven
+SLOWER: Final = 0.7
+#: of the fastest: slower runs turn on the spot
+LEAST_SPEED: Final = 0.25
 #: runs to recommend: about an hour of driving
 MOST_RUNS: Final = 5
 #: runs of a route that show its scatter
 REPEATS: Final = 3
+
+
+def dimensions_of(driven: Campaign) -> Dimensions:
+    """Return what the vehicle of a campaign can drive where it was driven.
+
+    Corridors as long as those driven, else no longer than any run led; other routes in proportion to the track or, up
+    to the usual size, to how far any run led; no faster than it was driven.
+    """
+    path = predict(observations_of(driven, into_windows=False))
+    led_m = [np.hypot(*trace[:, :2].T).max() for trace in path.traces()]
+    most_m, ratio = float(np.max(led_m, where=path.s.from_log, initial=0.0)), driven.model.track_m / USUAL_TRACK_M
+    scale = 1.0 if 0.5 <= ratio <= 2.0 else ratio
+    distance_m, corridor = np.abs(driven.runs.number("distance_m")), driven.runs.label("kind") == "corridor"
+    known = np.isfinite(distance_m)
+    lengths_m = distance_m[known & corridor] if (known & corridor).any() else distance_m[known]
+    length_m = float(np.median(lengths_m)) if len(lengths_m) else 0.0
+    if not CORRIDOR_RANGE_M[0] <= length_m <= CORRIDOR_RANGE_M[1]:
+        length_m = min(DEFAULT_CORRIDOR_M, max(most_m, DEFAULT_CORRIDOR_M * scale))
+    speeds = driven_speed_mps(path.s)
+    speeds = speeds[speeds > LEAST_SPEED * np.nanmax(speeds, initial=0.0)]
+    slow, fast = np.quantile(speeds, (0.1, 0.9)).tolist() if len(speeds) else (0.3 * scale, 0.7 * scale)
+    least_m = LEAST_RADIUS * driven.vehicle.wheelbase_m * (odometry_source(driven) == "shaft")
+    return Dimensions(
+        length_m, scale, most_m, least_m, (float(f"{min(slow, SLOWER * fast):.2g}"), float(f"{fast:.2g}"))
+    )
+
+
+def size_of(route: Route) -> str:
+    """Return a route's straights and radii of bends in words."""
+    pieces = list(zip(np.abs(route.length_m).tolist(), np.abs(route.turn_rad).tolist(), strict=True))
+    straights = ", ".join(dict.fromkeys(f"{length:.3g}" for length, turn in pieces if not turn))
+    radii = ", ".join(dict.fromkeys(f"{length / turn:.3g}" for length, turn in pieces if turn))
+    return f"{straights} m" * bool(straights) + " and " * bool(straights and radii) + f"radius {radii} m" * bool(radii)
 
 
 def next_runs(

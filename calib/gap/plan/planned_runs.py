@@ -1,4 +1,4 @@
-"""Planned runs: what to drive, candidates, and the campaign that an exact model would record."""
+"""Planned runs: their routes, candidates, and the campaign that an exact model would record."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -8,16 +8,76 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign import wheels
-from calib.campaign.model import LABEL_COLUMNS, Campaign, Logs, RunTable
+from calib.campaign.model import Campaign, Logs, RunTable, stacked
 from calib.campaign.read import CLOSED, GYRO_SIGMA, GYRO_TURN
 from calib.campaign.settings import Encoder, FrontModel, OdometryModel, Rangefinder, Reference
 from calib.campaign.wheels import WHEEL_COLUMNS, counts_per_rev, mecanum_model, odometry_source, without_rear_wheels
 from calib.documents import plain_fields
 from calib.errors import PLANNED_SAMPLES, BadInputError
-from calib.gap.plan.routes import ROUTE_SPACING_M, Dimensions, route_of
-from calib.odometry.routes import radii_of_model
+from calib.odometry.routes import NAMED, Route, Segment, arc, radii_of_model, straight
 from calib.types import FloatArray
 from calib.vehicle import Vehicle, wheel_loads_N
+
+#: short over long corridor: tells an offset from a scale
+SHORT_CORRIDOR: Final = 0.6
+DEFAULT_CORRIDOR_M: Final = 20.0
+#: routes beside those of `calib simulate`, each with its mirror image
+LEFT_ROUTES: Final = {
+    "route_left": (straight(5.0), arc(3.0, 0.5 * np.pi), straight(5.0), arc(1.5, 0.5 * np.pi), straight(3.0)),
+    "circle_left": (arc(1.2, 4 * np.pi),),
+}
+KINDS: Final = (
+    *(name.replace("_left", side) for name in LEFT_ROUTES for side in ("_left", "_right")),
+    *(name for name in NAMED if name != "corridor"),
+)
+#: of a route's samples
+ROUTE_SPACING_M: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Dimensions:
+    """How long and how fast planned runs are; by default those of a transport vehicle in a hall."""
+
+    corridor_m: float = DEFAULT_CORRIDOR_M
+    scale: float = 1.0  #: of other routes, at least
+    reach_m: float = np.inf  #: to which they lead up to their usual size
+    least_radius_m: float = 0.0  #: of a turn
+    speeds_mps: tuple[float, float] = (0.3, 0.7)
+
+    def of(self, kind: str, segments: Sequence[Segment]) -> Route:
+        """Return the route of a kind in its size; `segments`: lengths (m) and turns (rad) at the usual size."""
+        usual = Route.from_segments(kind, *segments)
+        bends = usual.turn_rad != 0.0
+        radii_m = np.abs(usual.length_m[bends] / usual.turn_rad[bends])
+        poses = usual.divided(ROUTE_SPACING_M).poses()
+        led = min(1.0, self.reach_m / float(np.hypot(poses.x_m, poses.y_m).max()))
+        scale = max(self.scale, led, self.least_radius_m / float(radii_m.min(initial=np.inf)))
+        return Route(kind, scale * usual.length_m, usual.turn_rad)
+
+
+def route_of(kind: str, dimensions: Dimensions | None = None) -> Route:
+    """Return the route of a kind, of usual dimensions by default.
+
+    `kind`: ``corridor`` (and its lanes ``corridor_b`` ...), ``corridor_short``, ``square_cw``, ``square_ccw``,
+    ``figure8``, ``route_left``, ``route_right``, ``circle_left``, ``circle_right``, or a named route of ``calib
+    simulate``.
+
+    Raises
+    ------
+    BadInputError
+        Where there is no such route.
+    """
+    dimensions = dimensions or Dimensions()
+    if kind == "corridor" or kind.startswith("corridor_"):
+        length_m = dimensions.corridor_m * (SHORT_CORRIDOR if kind == "corridor_short" else 1.0)
+        return Route.from_segments(kind, straight(length_m))
+    if kind not in KINDS:
+        known = ["corridor", "corridor_short", *KINDS]
+        raise BadInputError(f"route: found {kind!r}; expected one of {', '.join(known)}; name one of these")
+    left = kind.replace("_right", "_left")
+    route = dimensions.of(kind, LEFT_ROUTES.get(left) or NAMED[kind])
+    return route.mirrored() if kind != left else route
+
 
 #: numbers that matter at zero too
 SHOWN_AT_ZERO: Final = frozenset({"payload_kg", "speed_mps", "temperature_C", "minutes_under_load", "distance"})
@@ -121,20 +181,13 @@ def joined(first: Campaign, second: Campaign) -> Campaign:
     tables, logs = (first.runs, second.runs), (first.logs, second.logs)
     if any(len(log.offsets) != len(table) + 1 for log, table in zip(logs, tables, strict=True)):
         raise BadInputError("campaigns whose numbers of logs and runs differ cannot be joined")
-    names = dict.fromkeys(name for table in tables for name in table.numbers)
     columns = dict.fromkeys(name for log in logs for name in log.columns)
-    runs = RunTable(
-        {name: np.concatenate([table.label(name) for table in tables]) for name in LABEL_COLUMNS},
-        {name: np.concatenate([table.number(name) for table in tables]) for name in names},
-        np.concatenate([table.excluded for table in tables]),
-        np.concatenate([table.line for table in tables]),
-    )
 
     def column(name: str) -> FloatArray:
         return np.concatenate([log.columns.get(name, np.full(int(log.offsets[-1]), np.nan)) for log in logs])
 
     offsets = np.concatenate([logs[0].offsets, logs[0].offsets[-1] + logs[1].offsets[1:]])
-    return replace(first, runs=runs, logs=Logs(offsets, {name: column(name) for name in columns}))
+    return replace(first, runs=stacked(tables), logs=Logs(offsets, {name: column(name) for name in columns}))
 
 
 @dataclass(frozen=True, slots=True)

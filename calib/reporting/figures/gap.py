@@ -51,7 +51,7 @@ class GapArrays:
     @staticmethod
     def of(diagnosis: Diagnosis) -> "GapArrays":
         """Return the arrays of a diagnosis."""
-        from calib.gap.localise.covariates import covariate_values
+        from calib.gap.localise.locate import covariate_values
         from calib.gap.predict import measured_gap
 
         observations, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out

@@ -9,9 +9,8 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.challenge.judge import answer_of
-from calib.challenge.own_plants import parse_sizes, plants_of
 from calib.challenge.own_replay import Replay, own_noise, true_angles
-from calib.challenge.own_runs import challenge_own
+from calib.challenge.own_runs import challenge_own, parse_sizes, plants_of
 from calib.errors import BadInputError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full

@@ -18,7 +18,7 @@ from calib.gap.decision.held_out import Closure, Improvement
 from calib.gap.decision.kind import fails, is_shown, kind_of, no_mere_noise, scatters_alone, stands_off
 from calib.gap.decision.trials import Trial
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
-from calib.gap.localise.covariates import CovariateResult
+from calib.gap.localise.locate import CovariateResult
 from calib.gap.observations.arrays import Channel
 
 #: the correction of one certain effect closes the gap on held-out runs

@@ -10,8 +10,8 @@ import pytest
 from calib.gap.effects.encoder import find_blunder
 from calib.gap.effects.floor import CELL_M, MAX_STRIPS
 from calib.gap.effects.library import library
-from calib.gap.effects.path import stops
 from calib.gap.effects.quantities import driven_speed_mps, end_motion
+from calib.gap.effects.radii import stops
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals, signature

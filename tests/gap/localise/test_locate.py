@@ -12,13 +12,10 @@ from statsmodels.stats.multitest import multipletests
 from calib.campaign.model import Campaign
 from calib.gap.inference.fit import fit
 from calib.gap.inference.noise import Noise, estimate_noise
-from calib.gap.localise.along_run import Trace
-from calib.gap.localise.covariates import CovariateResult
+from calib.gap.localise.along_run import FALSE_FINDING_PROBABILITY, Trace, _slope, compare_windows
 from calib.gap.localise.locate import (
-    FALSE_FINDING_PROBABILITY,
+    CovariateResult,
     GapLocation,
-    _slope,
-    compare_windows,
     holm_corrected,
     locate,
 )

@@ -9,8 +9,7 @@ import pytest
 
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.localise.along_run import PlaceResult
-from calib.gap.localise.covariates import CovariateResult
-from calib.gap.localise.locate import ChannelGap, GapLocation, RunDeviation
+from calib.gap.localise.locate import ChannelGap, CovariateResult, GapLocation, RunDeviation
 from calib.gap.observations.arrays import N_CHANNELS, Channel
 from tests.real import recordings
 

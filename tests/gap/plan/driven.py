@@ -18,9 +18,8 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.gap.decision.confounding import apart_on
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.plan.next_runs import next_runs
-from calib.gap.plan.planned_runs import PlannedRun, joined
-from calib.gap.plan.routes import Dimensions, dimensions_of, route_of
+from calib.gap.plan.next_runs import dimensions_of, next_runs
+from calib.gap.plan.planned_runs import Dimensions, PlannedRun, joined, route_of
 from tests.kinematics.campaigns import Leg, Truth, campaign, square
 from tests.kinematics.unaided import Drive, Gyro, unaided
 

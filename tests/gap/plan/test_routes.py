@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.gap.plan.planned_runs import Measured, PlannedRun, default_candidates, drive
-from calib.gap.plan.routes import KINDS, Dimensions, dimensions_of, route_of
+from calib.gap.plan.next_runs import dimensions_of
+from calib.gap.plan.planned_runs import KINDS, Dimensions, Measured, PlannedRun, default_candidates, drive, route_of
 from tests.gap.plan.test_next_runs import base, called
 
 

@@ -10,9 +10,8 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.plan.next_runs import _measured
-from calib.gap.plan.planned_runs import Measured, PlannedRun, drive
-from calib.gap.plan.routes import Dimensions, route_of, size_of
+from calib.gap.plan.next_runs import _measured, size_of
+from calib.gap.plan.planned_runs import Dimensions, Measured, PlannedRun, drive, route_of
 from tests.gap.effects.making import SQUARE, STRAIGHT, Motion, Run, campaign
 
 INSTRUMENT = {"rangefinder_scale", "beam_misalignment", "rangefinder_offset"}
