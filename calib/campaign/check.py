@@ -226,7 +226,6 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     else:
         for check in stepped(CHECKS.values(), progress, "checks"):
             notes.extend(check(kept))
-    # "looks like distance_m", and no run has one
     lacking = {f"looks like {name}" for name in _NEEDED if not np.isfinite(kept.runs.number(name)).any()}
     notes = [replace(one, level="wrong") if one.text.partition(" and ")[0] in lacking else one for one in notes]
     names = ("wrong", "suspicious", "info")

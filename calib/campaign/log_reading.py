@@ -193,7 +193,6 @@ def _read_some(files: Sequence[LogFile], *, cache: Path | None, together: bool) 
 
 
 def _processors() -> int:
-    # a container may be given fewer than there are
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -277,7 +277,6 @@ def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) 
     x_late = x - world.latency_s * end.v_mps * np.cos(theta)
     y_late = y - world.latency_s * end.v_mps * np.sin(theta)
     if replay.observations.windowed:
-        # a window's start is read as late as its end
         v, omega = replay.steps["v_mps"][0], replay.steps["v_mps"][0] * replay.steps["curvature_per_m"][0]
         x_late, theta_late = x_late + world.latency_s * v, theta_late + world.latency_s * omega
     seen = world.seen_target(x_late, y_late, theta_late, world.ref_yaw_rad)

@@ -119,7 +119,6 @@ def _candidates(
             left_out[effect.id] = "an effect of the campaign's own has no form to plant"
         else:
             forms = forms_of(effect.id)
-            # one that the library does not assume
             form = next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
             knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
             act = partial(_planted, form, knobs)

@@ -59,7 +59,6 @@ class Guarded(TyperCommand):
         JSON_TARGET.set(ctx.params.pop("json"))
         FORCE.set(ctx.params.pop("force"))
         with inputs_kept(paths):
-            # before the work, not after it
             refuse_outputs()
             return super().invoke(ctx)
 

@@ -89,7 +89,6 @@ def export(
     notes += [text for artifact in artifacts for text in artifact.notes]
     files = _written(artifacts, output)
     terminal.emit_json({**head, "files": files, "notes": notes})
-    # an error is the only line where nothing was written
     for text in notes:
         terminal.note(text)
     if output is not None:

@@ -55,7 +55,6 @@ def members_of(folder: Path) -> tuple[Member, ...]:
         found = "a file" if folder.exists() else "no such folder"
         expected = "a folder with one campaign folder a vehicle, or a dataset partitioned by vehicle"
         raise BadFileError(folder, found, expected, "give the fleet's folder")
-    # workers may run in another folder
     folder = folder.resolve()
     members = _dataset(folder) if (folder / SETTINGS).is_file() else _campaigns(folder)
     if not members:

@@ -37,7 +37,6 @@ class PartSums:
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> "PartSums":
         """Return what was kept."""
-        # JSON has no infinite number
         sources = [SystematicSource(**{**one, "dof": one["dof"] or np.inf}) for one in value["sources"]]
         lines = [WheelLine(**{**one, "drift": one["drift"] and Drift(**one["drift"])}) for one in value["lines"]]
         return PartSums(

@@ -177,7 +177,6 @@ def predict(s: Observations, perturbations: list[Perturbation] | None = None) ->
     for units in s.spans:
         part = _predicted(s.part(units), perturbation.part(units, s))
         path.end[units], path.reading[units], path.line_m[units] = part.end, part.reading, part.line_m
-        # asked of every path, and the steps are present
         kept.append((_calibration(part), part.way_m, part.rolling_radii_m, part.bent_m))
         let_go(*s.steps, *perturbation.parts())
     derivatives, way_m, radii_m, bent_m = map(np.concatenate, zip(*kept, strict=True))
@@ -198,7 +197,6 @@ def _predicted(s: Observations, perturbation: Perturbation) -> Path:
         reading[:, Channel.FRONT :] = rear - s.front_ways
     _between_arcs(reading, perturbation, steps)
     if perturbation.reading is not None:
-        # along and lateral stand in the frame of the end
         reading += _turned(perturbation.reading, path.frame)
     reading[:] = _turned(reading, perturbation.turned_rad)
     return path

@@ -305,7 +305,6 @@ def replicates(whole: Model, way_m: FloatArray, load_width_N: float | None = Non
     told = whole.segments.measured - whole.residuals(nominal_values(whole.drive))
     steps, lapse_s = whole.recording.steps, np.maximum(np.diff(whole.recording.t_s, prepend=0.0), 1e-3)
     rolled = np.abs(steps.turned_rad).mean(axis=0)
-    # over the way: pauses have no speed
     total = np.maximum(whole.segments.between(rolled), 1e-9)
     speed = whole.segments.between(rolled**2 / lapse_s) / total
     load_N = whole.segments.between(rolled * (np.zeros((1, 1)) if (n := steps.load_offset_N) is None else n)) / total

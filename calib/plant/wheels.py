@@ -43,7 +43,6 @@ def _with_exponent(draw: Draw, exponent: float) -> Draw:
 
 
 def _load_dynamic(world: World, size: FloatArray, knobs: Knobs) -> None:
-    # with the load that shifts in curves and while braking
     _load_linear(world, size, knobs)
     vehicle, weight = world.design.vehicle, world.total_weight_N
     height = vehicle.cog_z_m

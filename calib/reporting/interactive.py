@@ -199,7 +199,6 @@ def _before_after_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figur
     )
     band = models.BoxAnnotation(bottom=-limit, top=limit, fill_alpha=0.08, fill_color="#009E73")
     plot.add_layout(band)
-    # inside the frame: below it, it would shorten every panel
     corner = {"x": 6, "y": 6, "x_units": "screen", "y_units": "screen", "text_font_size": "11px"}
     plot.add_layout(Label(text="green: noise, ± 2 standard deviations; dashed: no change", **corner))
     plot.add_layout(Slope(gradient=1.0, y_intercept=0.0, line_dash="dashed", line_color="#999999"))

@@ -161,7 +161,6 @@ def partial_slope(
     0 and infinite where these leave too little of it.
     """
     regressors = nuisance / np.maximum(np.abs(nuisance).max(axis=0), 1e-300)
-    # loads may be collinear: any rank
     both = np.column_stack([counted, measured])
     explained, _, rank, _ = np.linalg.lstsq(regressors, both, rcond=1e-9)
     counted, measured = (both - regressors @ explained).T

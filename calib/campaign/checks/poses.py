@@ -58,7 +58,6 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
     """Compare the distance of nearly straight runs with their end pose."""
     uncertainty = math.hypot(campaign.rangefinder.sigma_m, campaign.reference.sigma_xy_m)
     allowed = max(_LEAST_DIFFERENCE_M, _UNCERTAINTIES * uncertainty)
-    # more is another unit or row, which other checks report
     longer = _longer(campaign, 0.05)
     for where, n_runs, median, error in _offsets(longer, campaign.runs.label("session"), allowed):
         text = f"""the distance is {1e3 * abs(median):.3g} mm {"longer" if median > 0 else "shorter"} than that of the

@@ -282,7 +282,6 @@ def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
         if len(np.unique(session)) < 2 or len(np.unique(group)) < 2 or _constant_within(session, group):
             continue
         for by in (-1, 1):
-            # the row shifted out of the table says nothing
             inner = slice(None, -1) if by == -1 else slice(1, None)
             if _constant_within(np.roll(session, by)[inner], group[inner]):
                 text = f"""each session has one {name} if its labels move by one row {"up" if by == -1 else "down"}, and

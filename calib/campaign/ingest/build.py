@@ -239,7 +239,6 @@ def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: _
         return {}
     tables: dict[Path, RawTable] = {}
     for path in files:
-        # logs are larger, and take long to read cell by cell
         if holds_recording(path) or path.stat().st_size > 4 * first.stat().st_size + _SMALL_BYTES:
             return {}
         tables[path] = read_table(path, str(path), None, given.layout)

@@ -154,7 +154,6 @@ def file_contents(path: Path) -> FileContents:
     contents = _table_contents(path, shown, "")
     sheets: dict[str, FileContents] = {}
     for name in names if len(names) > 1 else ():
-        # a sheet of notes is no table
         with suppress(BadFileError):
             sheets[name] = _table_contents(path, shown, name)
     usual = [name for name, sheet in sheets.items() if len(sheet.columns) > 1 and sheet.n_rows]

@@ -159,7 +159,6 @@ def _run_table(files: Sequence[FileContents]) -> FileContents | None:
 
 def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
     named_by = Path((table or logs[0]).name)
-    # of several recordings the folder
     title = named_by.parent.name if table is None and len(logs) > 1 and named_by.parent.name else named_by.stem
     columns = [column for log in logs for column in log.columns]
     widths = (column.wrap_bits for column in columns if guessed_log_column(column.name) != "t_s")

@@ -77,7 +77,6 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
     """
     in_words = name.strip()
     said = re.fullmatch(r"(.{2,}?)(?:\s+in\s+|\s*[/,]\s*|\s)([^\s/,]+)", in_words)
-    # of "Test day" no unit
     if said and unit_named(said[2]) not in {None, "day"}:
         in_words = f"{said[1]} [{said[2]}]"
     in_words = re.sub(r"_(mm?|km|rad|deg)_([sh])$", r" [\1/\2]", in_words)
@@ -146,7 +145,6 @@ def _guessed_in_log(name: str) -> str | None:
     stem, unit = stem_and_unit(name)
     short = _BEHIND.sub("", stem)
     wheel = _matching(short, None, "log") if short != stem else None
-    # only wheels: pose_x_raw is none
     return wheel if wheel and wheel.startswith("counts_") else _wheel_of(name) or _matching(stem, unit, "log")
 
 

@@ -123,7 +123,6 @@ def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Record
     wanted = WantedColumns(name for line in lines.values() for name in line.sources)
     recording = read_recording(path, shown, wanted if lines else None)
     if any(not {*line.sources} <= {*recording.column_names} for line in lines.values()):
-        # not the named columns alone
         whole = read_recording(path, shown)
         check_not_empty(whole, shown)
         _refuse_missing(whole.column_names, lines, shown, mapping)

@@ -71,7 +71,6 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
         if (guesses.reading_of(column.name) or ("", ""))[0] in readings:
             continue
         directions = [direction_of(text) for text in column.texts]
-        # sessions may be called A and B
         letters = {*map(plain_text, column.texts)} <= {"a", "b"} and targets[column.name] != "direction"
         is_direction = (
             0 < len(directions) <= 2 and all(directions) and targets[column.name] not in {"session", "run_id"}
@@ -111,7 +110,6 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
 
 
 def _exclusion_lines(table: FileContents, named: set[str]) -> list[str]:
-    # remarks, or a no in a column of valid runs
     out = []
     for column in table.columns if "excluded" not in named else ():
         valid = re.search("gueltig|valid|^ok", stem_and_unit(column.name)[0]) is not None
@@ -240,7 +238,6 @@ def _may_be(target: str, column: ColumnContents, n_rows: int = 0) -> bool:
     # numbers that begin again name no runs
     if target == "run_id" and column.kind == "number" and column.span + 1 < n_rows:
         return False
-    # of times the days are sessions
     if column.kind == "empty" or (target == "session" and column.form.startswith("times of day")):
         return False
     return column.kind == "number" or target in {*LABEL_COLUMNS, "excluded"}
@@ -286,7 +283,6 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
         return {}
     pairs = zip(whole, groups, strict=True)
     runs = set.intersection(*({run_in(Path(log.name).stem, pattern) for log in group} for pattern, group in pairs))
-    # those of a session have clocks
     if not runs or (runs == {None} and not all(has_clock(group[0]) for group in groups)):
         return {}
     words = [re.findall(r"[^\W_]+", re.sub(r"\{.*?\}", " ", pattern)) for pattern in whole]

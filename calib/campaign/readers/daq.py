@@ -250,7 +250,6 @@ def _streams(group: str, channels: "Mapping[str, TdmsChannel]") -> list[Stream]:
 
 
 def _values(channel: "TdmsChannel") -> FloatArray:
-    # no channel is held twice
     values: FloatArray = np.empty(len(channel))
     for start in range(0, len(channel), _CHUNK_SAMPLES):
         values[start : start + _CHUNK_SAMPLES] = channel[start : min(start + _CHUNK_SAMPLES, len(channel))]

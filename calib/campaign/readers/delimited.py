@@ -137,7 +137,6 @@ def _check_names(names: list[str], shown: str, row: int) -> None:
 
 def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     if layout.header_row is None:
-        # most logs begin with their header
         lines = _first_lines(data, _FEW_ROWS)
         usual = _first_delimiter(lines)
         rows = _split_cells(lines, usual)
@@ -262,7 +261,6 @@ def _read_cells(
     table: list[Sequence[str]] = []
     lines: list[int] = []
     for line, cells in rows:
-        # a remark beneath the table, as above it
         remark = len(cells) != len(names) and "".join(cells).lstrip().startswith("#")
         if remark or not any(cell.strip() for cell in cells):
             continue
@@ -322,7 +320,6 @@ def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
 
 def _tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
     # a text with empty lines for those without cells; lines that begin with # are remarks, but for one right above the
-    # numbers that names as many columns
     notes: list[Note] = []
     if layout.skip_rows:
         lines = data.split(b"\n")

@@ -137,7 +137,6 @@ def _planar_pose(columns: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
     yaw = np.arctan2(2.0 * (qw * qz + qx * qy), size - 2.0 * (qy * qy + qz * qz))
     yaw = unwrapped(np.where(size > _LEAST_QUATERNION, yaw, np.nan))
     out = {name: values for name, values in columns.items() if name not in POSE[3:]} | {"yaw": yaw}
-    # yaw follows the place, further columns both
     order = [*POSE[:3], "yaw", *(name for name in out if name not in (*POSE, "yaw"))]
     return {name: out[name] for name in order if name in out}
 

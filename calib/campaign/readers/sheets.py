@@ -90,7 +90,6 @@ def heading(numbered: Rows, layout: Layout, shown: str, above: Sequence[Any] = (
         block = block[:1]
     over = filled_cells(above)
     grouped = len(over) > 1 and not any(map(is_number, over))
-    # a row of sides may end before the columns without sides
     last = block[-1] + [""] * (max(map(len, block)) - len(block[-1]))
     names = _joined(last, [_texts(above), *block[:-1]] if grouped else block[:-1])
     if units_at is None:
@@ -164,7 +163,6 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
     spread, own = [""] * len(names), [""] * len(names)
     for group in groups:
         last = ""
-        # merged last cells end a row early
         for at, cell in enumerate([*group, *[""] * len(names)][: len(names)]):
             last = cell or last
             spread[at] = last or spread[at]

@@ -252,7 +252,6 @@ def _thousands(cells: npt.NDArray[Any], decimal_comma: bool | None) -> set[str]:
         decimal = any(mark in text and form.fullmatch(text) and not _AMBIGUOUS.fullmatch(text) for text in texts)
         marks |= {mark} if decimal_comma is other and not decimal else set()
     whole = [int(text) for text in texts if text.isdecimal()]
-    # 300, 600, 1.200: no mark below a thousand
     return marks | {"?"} if decimal_comma is None and whole and 100 <= min(whole) <= max(whole) < 1000 else marks
 
 

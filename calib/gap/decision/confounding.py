@@ -219,7 +219,6 @@ def _ends(evidence: Evidence, fitted: Fitted) -> FloatArray:
     declared = evidence.situation.campaign.extra.get("effects", ())
     perturbations, _ = applied_perturbations(journeys, sections, declared=declared)
     path = predict(journeys, [*calibration_pushes(journeys, fitted.calibration, None), *perturbations])
-    # driven runs keep covariates varying as in the fit
     to_come = ~np.isin(journeys.labels["run_id"], evidence.observations.labels["run_id"])
     return path.end[to_come, :2]
 

@@ -205,7 +205,6 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
     form. The statistic follows F; levels are divided by the number of tests. None is what an effect that may act
     beside accounts for, so that a test of its own, the only one, no longer shows a difference.
     """
-    # what differs by session has no common size
     names = {name for name in effects if not evidence.effects[name].per_session}
     groups = groupings(evidence.observations, by_balance=True)
     contributions = _contributions(evidence, names)

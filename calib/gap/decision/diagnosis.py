@@ -137,7 +137,6 @@ class Evidence:
         before = whitened_rows(self.nominal, self.noise, residuals(self.nominal, self.nominal)[:, :, None])[:, 0]
         excess = max(float(before @ before) - len(before), 1.0)
         share = float(np.clip(1.0 - max(self.fitted.chi_square - len(before), 0.0) / excess, 0.0, 1.0))
-        # noise alone scatters as chi-square
         return share, float(np.sqrt(2.0 * len(before)) / excess)
 
 

@@ -34,7 +34,6 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     `whole`: the fix of all causes, blunders apart, not recommended.
     """
     causes, unexplained = found.causes, found.unexplained
-    # a part needs a gap as the whole does; a blunder is one
     if not evidence.situation.faults and confounding.gap_probability(evidence) < CERTAIN_PROBABILITY:
         return whole
     kept, dropped, by_odds = _parted(found)
@@ -64,7 +63,7 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     # the calibration that a dropped cause looks like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
-        if not (beside or _keeps_sizes(evidence, fitted, improvement, kept)):
+        if not (beside or _keeps_sizes(evidence, fitted, improvement)):
             fitted, improvement, tried = _stated_part(evidence, names)
         # without a dropped cause the rest is unexplained
         left = () if dropped else rule.remaining(improvement, unexplained)
@@ -119,7 +118,7 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
         return fix
     fitted, improvement, tried, _ = _tried(evidence, names, (), names)
-    if not _keeps_sizes(evidence, fitted, improvement, found.causes):
+    if not _keeps_sizes(evidence, fitted, improvement):
         fitted, improvement, tried = _stated_part(evidence, names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
@@ -137,33 +136,14 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
 
 
-def _as_stated(fitted: Fitted, causes: Sequence[Cause]) -> bool:
-    stated = {cause.effect: cause.parameters for cause in causes}
-    sizes: dict[str, dict[str, float]] = {
-        form.effect: {one.name: float(size) for one, size in zip(form.parameters, theta, strict=True)}
-        for form, theta, _ in fitted.each()
-    }
-    sizes |= {name: {"relative": float(size)} for name, size in zip(NAMES, _relative(fitted)[0], strict=True)}
-    return all(
-        low <= sizes[effect].get(name, low) <= high
-        for effect, parameters in stated.items()
-        for name, quantity in parameters.items()
-        for low, high in [quantity.ci95]
-        if not quantity.shift
-    )
-
-
-def _keeps_sizes(evidence: Evidence, fitted: Fitted, improvement: Improvement, causes: Sequence[Cause]) -> bool:
-    # sizes are those stated, or what fits without the others and is mostly their own: as where half of a gap closes
-    if _as_stated(fitted, causes) or improvement.after_rms > LARGE_RESIDUAL:
-        return _as_stated(fitted, causes)
-    whole = {form.effect: theta for form, theta, _ in evidence.fitted.each()}
+def _keeps_sizes(evidence: Evidence, fitted: Fitted, improvement: Improvement) -> bool:
+    # without the others it fits, and of what each moves its own part is the larger one: as where half of a gap closes
+    whole, limit = {form.effect: theta for form, theta, _ in evidence.fitted.each()}, np.sqrt(1.0 - HALF_CLOSURE)
     for form, theta, _ in fitted.each():
         does = evidence.system.columns(form) / form.typical
-        others = float(np.linalg.norm(does @ (theta - whole[form.effect])))
-        if others > np.sqrt(1.0 - HALF_CLOSURE) * np.linalg.norm(does @ theta):
+        if np.linalg.norm(does @ (theta - whole[form.effect])) > limit * np.linalg.norm(does @ theta):
             return False
-    return True
+    return improvement.after_rms <= LARGE_RESIDUAL
 
 
 def _stated_part(evidence: Evidence, names: Collection[str]) -> tuple[Fitted, Improvement, tuple[Trial, ...]]:

@@ -26,7 +26,6 @@ COVARIATE_FORMS: Final = {
 
 
 class _OfColumn(Proportional):
-    # an instance's own, unlike the class attributes of the other effects
     id: str  # type: ignore[misc]
     title: str  # type: ignore[misc]
     implausible = "something else that changed with this column"

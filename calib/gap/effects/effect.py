@@ -222,7 +222,6 @@ def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, floa
         return sum(abs(form.settings[key] - settings[key]) for key in form.settings.keys() & settings.keys())
 
     alike = [form for form in forms if form.label == label]
-    # older files name the speed itself, which the settings hold
     alike = alike or [form for form in forms if form.label.partition(" above")[0] == label.partition(" above")[0]]
     return min(alike, key=off, default=None)
 

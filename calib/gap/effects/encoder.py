@@ -307,7 +307,6 @@ def find_blunder(observations: Observations, nominal: Path) -> Blunder | None:
         return None
     candidates = _candidates()
     if observations.by_front:
-        # one wheel: no other side than by its angle
         candidates = [c for c in candidates if c.left == c.right and not c.swapped]
         candidates.append(Blunder(_REVERSED, 1.0, 1.0, swapped=True))
     left = [float(np.mean(misfit(predict(corrected(observations, fault))))) for fault in candidates]

@@ -37,7 +37,6 @@ def far_end_m(observations: Observations) -> FloatArray:
     for route in np.unique(observations.kind[back]):
         mine = back & (observations.kind == route)
         with np.errstate(divide="ignore", invalid="ignore"):
-            # a turn on the spot has no length, and is like none
             alike = np.abs(np.log(length / np.median(length[mine]))) < ROUTE_LENGTH_SHARE
         start[mine] = np.median(length[out & alike if (out & alike).any() else mine])
     return start

@@ -62,7 +62,6 @@ class SimulatorParameter(Effect):
     that of the library's effect that it stands for.
     """
 
-    # an instance's own, unlike the class attributes of the other effects
     id: str  # type: ignore[misc]
     title: str  # type: ignore[misc]
     implausible = "a cause that this parameter imitates"
@@ -222,7 +221,6 @@ class HeldCalibration(Effect):
     `sign`: of its size, where the other sign is left to parameters of the simulator, 0 where either counts.
     """
 
-    # an instance's own, unlike the class attributes of the other effects
     id: str  # type: ignore[misc]
     title: str  # type: ignore[misc]
     family = Family.CALIBRATION

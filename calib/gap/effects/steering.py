@@ -261,7 +261,6 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
     through = angle[index]
     now = np.zeros(through.shape[1])
     for row in through:
-        # a NaN moves nothing
         now = np.fmin(np.fmax(now, row - 0.5 * wide), row + 0.5 * wide)
         row[:] = now
     return np.nan_to_num((angle - through[step, observations.unit]) * (play / wide))

@@ -160,7 +160,6 @@ class _Misfit:
         a, r = whole[:, :-1], whole[:, -1]
         precision = self.prior_sd**-2.0
         normal = a.T @ a + np.diag(precision)
-        # columns exactly alike stay solvable
         normal += 1e-11 * np.diag(np.diag(normal))
         right = a.T @ r - precision * scaled
         if self.along is None:

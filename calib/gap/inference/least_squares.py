@@ -88,7 +88,6 @@ class Weighting:
         weighed = self._products(whole, None if use is None else use[system.blocks.unit].astype(np.float64))
         normal += weighed[:n, :n]
         right = weighed[:n, n]
-        # on a unit diagonal columns alike stay solvable
         root = np.sqrt(np.diag(normal))
         inverse = np.linalg.inv(normal / np.outer(root, root) + 1e-11 * np.eye(n)) / np.outer(root, root)
         p = columns.shape[1]

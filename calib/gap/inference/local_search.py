@@ -78,7 +78,6 @@ class LocalSearch:
         return kept
 
     def _deviations(self, system: LinearSystem, sizes: Mapping[int, FloatArray]) -> FloatArray:
-        # another zero point is exact
         own = {k: size * [not p.shift for p in system.forms[k].parameters] for k, size in sizes.items()}
         deviations = defaultdict[str, Any](float)
         for k, size in own.items():

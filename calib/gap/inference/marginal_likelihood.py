@@ -37,7 +37,6 @@ class Nuisance:
     def __init__(self, columns: FloatArray) -> None:
         self.columns = columns
         gram = np.eye(columns.shape[1]) + columns.T @ columns
-        # on a unit diagonal columns alike stay factorable
         root = np.sqrt(np.diag(gram))
         lower = np.linalg.cholesky(gram / np.outer(root, root) + 1e-11 * np.eye(len(gram)))
         #: shape (k, k): inverse Cholesky factor of I + X^T X; log |I + X X^T|

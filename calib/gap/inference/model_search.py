@@ -211,7 +211,6 @@ def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
         columns = np.concatenate([beside, system.of(number)], axis=1)
         normal, right = columns.T @ columns + np.diag(prior_precision(columns.shape[1])), columns.T @ system.gap
         root = np.sqrt(np.diag(normal))
-        # columns exactly alike stay solvable
         solved = np.linalg.solve(normal / np.outer(root, root) + 1e-11 * np.eye(len(root)), right / root)
         left = float(system.gap @ system.gap - solved @ (right / root))
         if left <= _MAX_LINEAR_SHARE * fitted.chi_square:
@@ -256,7 +255,6 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     weighting, over_free = local.weighting(), dict[int, float]()
     beside_nothing: FloatArray = np.eye(len(SUBSETS))[SUBSETS.index(())]
     if local.system.path.s.calibration_held:
-        # nothing can be off beside any model
         likely, over_free = [], dict.fromkeys(range(len(models)), 0.0)
     for n in {*likely, models.index(local.current)} - over_free.keys():
         free = free_estimates(local.system, models[n], weighting)

@@ -71,7 +71,6 @@ def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
     yield alike, observations.condition, trends, enough
     near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
     beside = repeatability.neighbours(observations.condition, NEIGHBOURS_TOGETHER)
-    # a session may end between neighbours
     yield near, beside, components.session_steps(path), enough
     yield near, beside, None, enough
     yield alike, observations.condition, trends, MIN_DOF

@@ -128,7 +128,6 @@ def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
     kept = np.where(both, covariance, 0.0)
     index = np.arange(N_CHANNELS)
     kept[:, index, index] = np.where(usable, np.maximum(kept[:, index, index], 1e-18), 1.0)
-    # independent variance: exactly aliased channels stay factorable
     kept[:, index, index] *= 1.0 + 1e-9
     return kept
 

@@ -129,7 +129,6 @@ class ScaleLikelihood:
         x, rest = columns[:, :, :n_own], columns[:, :, n_own:]
         gram = grouped.summed(x.transpose(0, 2, 1) @ columns)
         inner = gram[:, :, :n_own] + np.diag(self.prior)
-        # on a unit diagonal columns alike stay factorable
         root = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
         lower = np.linalg.cholesky(inner / (root[:, :, None] * root[:, None, :]) + _ROUNDING * np.eye(n_own))
         middle = 2 * float((np.log(np.diagonal(lower, axis1=1, axis2=2)) + np.log(root)).sum())

@@ -195,7 +195,6 @@ def by_run(observations: Observations, floor: FloatArray, gap: FloatArray) -> tu
 
 def holm_corrected(lines: list[CovariateResult]) -> tuple[CovariateResult, ...]:
     """Return the table, smallest p first, held by Holm's steps to its chance of any false line."""
-    # importing statsmodels takes longer
     # rounding must not order covariates that vary alike
     ordered = sorted(lines, key=lambda line: (float(f"{line.p_value:.9g}"), -float(f"{line.share:.9g}")))
     stepped = [line.p_value * (len(ordered) - number) for number, line in enumerate(ordered)]

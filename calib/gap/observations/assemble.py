@@ -230,7 +230,6 @@ def _numbers(
     runs = campaign.runs
     numbers = {name: runs.number(name)[index] for name in runs.numbers}
     if (waited := numbers.get("minutes_under_load")) is not None:
-        # nothing was put on an empty vehicle
         empty = runs.number("payload_kg")[index] == 0.0
         empty |= (left + right)[index] < MOST_OF_EMPTY * 2.0 * campaign.vehicle.unladen_load_N
         waited[empty & np.isnan(waited)] = 0.0

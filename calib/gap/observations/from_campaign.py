@@ -164,7 +164,6 @@ def check_distances(campaign: Campaign, observations: Observations) -> None:
                 "millimetres; check the counts of this run"
             )
     took_s = observations.duration_s[observations.from_log[observations.unit]].sum()
-    # turns on the spot roll the wheels alone
     way_m = 0.5 * (np.abs(observations.travel_left_m).sum() + np.abs(observations.travel_right_m).sum())
     if took_s * SLOWEST_RADPS * campaign.vehicle.wheel_radius_m > way_m:
         found = f"found {took_s:.3g} s for {way_m:.3g} m; expected seconds (are they ms, us or ns?)"

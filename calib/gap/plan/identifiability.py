@@ -250,7 +250,6 @@ def undetectable(
     """
     limits, found = _Limits(system.calibration, system.columns), []
     for effect in effects:
-        # the calibration's own are never among them
         offered = effect.forms(system.path.s) if forms is None or effect.calibration else forms.get(effect.id, ())
         found.append(limits.of(effect, offered))
     return tuple(limit for times, limit in found if times > 1.0)

@@ -140,7 +140,6 @@ class SimulatorRunner:
         deadline = time.monotonic() + self.settings.timeout_s
         fault, status = "", None
         while not fault and status is None:
-            # waiting for its output sleeps
             reader.join(LOOK_S)
             with suppress(subprocess.TimeoutExpired):
                 status = process.wait(0.0 if reader.is_alive() else LOOK_S)
@@ -355,7 +354,6 @@ def _clear_step(each: Declared, change: FloatArray, scatter: FloatArray) -> floa
 
 
 def _distance_axis(tables: list[FloatArray]) -> float | None:
-    # straight runs alone do not tell
     distance, x, y, _ = np.concatenate(tables).T
     known = np.isfinite(distance + x + y)
     if not known.any():
