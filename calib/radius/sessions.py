@@ -355,7 +355,7 @@ def moved_by(
 
     `line`: columns of the line itself, (n_runs, 1 or 2); for the rest see `standing_out`.
     """
-    n, alone = len(residual), np.eye(len(residual))[:, out]
+    n, alone = len(residual), np.equal.outer(np.arange(len(residual)), out).astype(np.float64)
     design = np.column_stack((basis, alone))
     off, _, rank, _ = np.linalg.lstsq(design, residual, rcond=1e-10)
     left, dof = residual - design @ off, max(n - int(rank), 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -84,3 +86,17 @@ def test_a_single_run_moves_the_line_by_its_distance_of_cook() -> None:
     assert off_m[0] == pytest.approx(radius[7] - at_zero - slope * load[7], rel=1e-6)
     assert dof == 17
     assert moved == pytest.approx(2 * fit.cook[7] * fit.residual_std_m**2 / (left @ left / dof), rel=1e-6)
+
+
+def test_outliers_of_many_runs_take_memory_in_proportion_to_the_runs() -> None:
+    """A matrix of 5,000 by 5,000 runs would take 200 MB, a hundred columns of them 4 MB."""
+    n = 5000
+    residual = np.random.default_rng(3).normal(0.0, SCATTER_M, n)
+    line = np.column_stack((np.ones(n), np.linspace(-1.0, 1.0, n)))
+    basis = np.linalg.qr(line)[0]
+    tracemalloc.start()
+    out = [run for run, *_ in standing_out(basis, residual, 10)]
+    moved_by(line, basis, residual, out)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 100 * n * residual.itemsize
