@@ -250,7 +250,7 @@ def test_a_weak_cause_beside_a_large_one_is_an_error_of_its_form() -> None:
     ):
         causes = [cause(largest, signal=400.0), cause("payload_position", signal=signal, share=1e-3)]
         assert (negligible(causes, certain) == ("payload_position",)) is small
-    # what radii or track would do as well has most of the gap, and little of it beside them
+    # what radii or track may be instead has most of the gap, and little of it beside them
     most = cause("curve_scrub", signal=6.0, share=0.9)
     assert negligible([cause("load_radius", signal=400.0, share=0.1), most], {}) == ()
 
