@@ -147,7 +147,7 @@ def _as_shown(evidence: Evidence, kind: VerdictKind, gap_probability: float) -> 
 
 def tied_with(causes: Sequence[Cause], groups: Sequence[Sequence[str]]) -> list[Sequence[str]]:
     """Return the groups of the causes: what looks like an unnamed one says nothing of these."""
-    return [group for group in groups if len(group) > 1 and {cause.effect for cause in causes}.intersection(group)]
+    return [group for group in groups if len(group) > 1 and group[0] in {cause.effect for cause in causes}]
 
 
 def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
