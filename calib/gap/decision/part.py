@@ -1,6 +1,6 @@
 """The fix of the sure causes, where that of all is not recommended."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Final
@@ -12,14 +12,14 @@ from calib.gap.decision import fix as rule
 from calib.gap.decision.causes import Finding, jointly_zero
 from calib.gap.decision.constancy import half_of_steps
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
-from calib.gap.decision.held_out import LARGE_RESIDUAL, Improvement, improvement_of
+from calib.gap.decision.held_out import Improvement, improvement_of
 from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE
 from calib.gap.decision.trials import Trial, most_square, trials
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.quantities import session_steps
 from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS
-from calib.gap.inference.fit import CALIBRATION_SD, Fitted, fit, hypothesis_path, squares_by_unit
+from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.predict import residuals
 from calib.types import FloatArray, few_digits
@@ -34,6 +34,7 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     `whole`: the fix of all causes, blunders apart, not recommended.
     """
     causes, unexplained = found.causes, found.unexplained
+    # a part needs a gap as the whole does; a blunder is one
     if not evidence.situation.faults and confounding.gap_probability(evidence) < CERTAIN_PROBABILITY:
         return whole
     kept, dropped, by_odds = _parted(found)
@@ -63,8 +64,6 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     # the calibration that a dropped cause looks like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
-        if not (beside or _keeps_sizes(evidence, fitted, improvement)):
-            fitted, improvement, tried = _stated_part(evidence, names)
         # without a dropped cause the rest is unexplained
         left = () if dropped else rule.remaining(improvement, unexplained)
         odds = rule.needed(improvement) if by_odds else ()
@@ -118,16 +117,12 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
         return fix
     fitted, improvement, tried, _ = _tried(evidence, names, (), names)
-    if not _keeps_sizes(evidence, fitted, improvement):
-        fitted, improvement, tried = _stated_part(evidence, names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
     # what would move by nothing beyond noise takes no part of the gap
-    left = (
-        rule.remaining(improvement, found.unexplained, f"the rest is what {beside} would take")
-        if unnamed or not _others_at_zero(evidence, names)
-        else ()
-    )
+    acts = bool(unnamed) or not _others_at_zero(evidence, names)
+    rest = f"the rest is what {beside} would take"
+    left = (*rule.remaining(improvement, found.unexplained, rest), *_resized(evidence, fitted)) if acts else ()
     why = (*rule.unhelpful(improvement), *left, *rule.harm(tried))
     if why:
         lead = f"without {unnamed}, which is not named" if unnamed else "with no other change of radii and track"
@@ -136,35 +131,14 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
 
 
-def _keeps_sizes(evidence: Evidence, fitted: Fitted, improvement: Improvement) -> bool:
-    # without the others it fits, and of what each moves its own part is the larger one: as where half of a gap closes
-    whole, limit = {form.effect: theta for form, theta, _ in evidence.fitted.each()}, np.sqrt(1.0 - HALF_CLOSURE)
+def _resized(evidence: Evidence, fitted: Fitted) -> Iterator[str]:
+    whole = {form.effect: theta for form, theta, _ in evidence.fitted.each()}
     for form, theta, _ in fitted.each():
-        does = evidence.system.columns(form) / form.typical
-        if np.linalg.norm(does @ (theta - whole[form.effect])) > limit * np.linalg.norm(does @ theta):
-            return False
-    return improvement.after_rms <= LARGE_RESIDUAL
-
-
-def _stated_part(evidence: Evidence, names: Collection[str]) -> tuple[Fitted, Improvement, tuple[Trial, ...]]:
-    # of all that is fitted: what is stated is written, and judged with the rest left
-    whole = evidence.fitted
-    moves = np.array([name in _moved_by(evidence, names) for name in NAMES])
-    wheels = np.eye(4)
-    wheels[:3, :3] = (DIRECTIONS[:, :3].T * moves) @ OF_WHEELS
-    kept = np.array([form.effect in names for form, theta, _ in whole.each() for _ in theta], dtype=np.bool_)
-    applied = np.diag(np.append(np.zeros(4), kept))
-    applied[:4, :4] = wheels * (CALIBRATION_SD / CALIBRATION_SD[:, None])
-    forms = tuple(form for form in whole.forms if form.effect in names)
-    theta = tuple(whole.sizes_of(forms))
-    calibration, places = wheels @ whole.calibration, np.flatnonzero(np.append(np.ones(4, dtype=np.bool_), kept))
-    path = hypothesis_path(whole.path.s, calibration, forms, theta, whole.path)
-    left, covariance = residuals(path, evidence.nominal), whole.covariance[np.ix_(places, places)]
-    square = float(squares_by_unit(path, evidence.noise, left).sum())
-    held = HeldOutFit(
-        replace(whole, left=left), evidence.nominal, evidence.noise, evidence.search.weighting, applied=applied
-    )
-    return Fitted(forms, theta, calibration, covariance, path, square, left), *_judged(evidence, held, names)
+        columns = evidence.system.columns(form) / form.typical
+        off, size = (float(np.linalg.norm(columns @ part)) for part in (theta - whole[form.effect], theta))
+        # by what half of a gap's squares closes: less of what it moves would be right
+        if off > np.sqrt(1.0 - HALF_CLOSURE) * size:
+            yield f"{100 * off / size:.0f} % of what it does by {form.effect} would be theirs, not its own; {rule.PLAN}"
 
 
 def _others_at_zero(evidence: Evidence, names: Collection[str]) -> bool:
@@ -202,19 +176,14 @@ def _tried(
     along = _along(evidence, acting)
     fitted = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)
     left_out = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting, along)
-    before, steps = residuals(evidence.nominal, evidence.nominal), left_out.contribution(stepping)
-    improvement, tried = _judged(evidence, left_out, (*names, *stepping), steps)
+    before, as_counted = residuals(evidence.nominal, evidence.nominal), evidence.situation.as_counted
+    steps = left_out.contribution(stepping)
+    stated = (before if as_counted is None else as_counted) - steps
+    sessions = not any(evidence.effects[name].per_session for name in (*names, *stepping))
+    improvement = improvement_of(left_out, sessions=sessions, stated=stated)
+    tried = trials(left_out, before - steps)
     worse = _worse_sessions(evidence, left_out, before, fitted.left + steps)[:1] if stepping else ()
     return fitted, improvement, tried, tuple(worse)
-
-
-def _judged(
-    evidence: Evidence, left_out: HeldOutFit, names: Collection[str], steps: FloatArray | float = 0.0
-) -> tuple[Improvement, tuple[Trial, ...]]:
-    before, as_counted = residuals(evidence.nominal, evidence.nominal), evidence.situation.as_counted
-    stated = (before if as_counted is None else as_counted) - steps
-    sessions = not any(evidence.effects[name].per_session for name in names)
-    return improvement_of(left_out, sessions=sessions, stated=stated), trials(left_out, before - steps)
 
 
 def _worse_sessions(evidence: Evidence, left_out: HeldOutFit, before: FloatArray, alone: FloatArray) -> list[str]:

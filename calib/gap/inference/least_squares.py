@@ -88,6 +88,7 @@ class Weighting:
         weighed = self._products(whole, None if use is None else use[system.blocks.unit].astype(np.float64))
         normal += weighed[:n, :n]
         right = weighed[:n, n]
+        # on a unit diagonal columns alike stay solvable
         root = np.sqrt(np.diag(normal))
         inverse = np.linalg.inv(normal / np.outer(root, root) + 1e-11 * np.eye(n)) / np.outer(root, root)
         p = columns.shape[1]
@@ -158,8 +159,7 @@ def _simulated_at(
 class HeldOutFit:
     """Holds runs out of a fit in turn.
 
-    `fitted`: on all runs; `nominal`: the model alone; `weighting`: none by default; `along`: see `fit`; `applied`: of
-    the estimates, (p, p), what is corrected where that is a part of what is fitted.
+    `fitted`: on all runs; `nominal`: the model alone; `weighting`: none by default; `along`: see `fit`.
     """
 
     def __init__(
@@ -169,7 +169,6 @@ class HeldOutFit:
         noise: Noise,
         weighting: Weighting | None = None,
         along: FloatArray | None = None,
-        applied: FloatArray | None = None,
     ) -> None:
         self.fitted, self.nominal, self.noise = fitted, nominal, noise
         if weighting is None:
@@ -178,7 +177,6 @@ class HeldOutFit:
         columns = weighting.system.columns_of(weighting.system.numbers(fitted.forms))
         basis = np.eye(columns.shape[1]) if along is None else fitting.calibration_basis(along, columns.shape[1] - 4)
         self.columns, self.basis = columns @ basis, basis
-        self.applied = np.eye(basis.shape[1]) if applied is None else applied
         self.precision = np.square(basis).T @ prior_precision(len(basis))
         self._solved: dict[bytes, tuple[FloatArray, FloatArray]] = {}
 
@@ -210,7 +208,7 @@ class HeldOutFit:
         if out.all():
             return self.fitted.left
         estimates = self._without(out)[0]
-        left: FloatArray = self.fitted.left - self.derivative @ (self.applied @ (estimates - self.all_estimates))
+        left: FloatArray = self.fitted.left - self.derivative @ (estimates - self.all_estimates)
         return left
 
     def _without(self, out: BoolArray) -> tuple[FloatArray, FloatArray]:
@@ -222,13 +220,13 @@ class HeldOutFit:
     def is_predictive(self, out: BoolArray) -> bool:
         """Return whether the others determine the correction on the units `out` (a turn's effect needs turns)."""
         on = out[self.weighting.system.blocks.unit]
-        correction = self.columns[on] @ (self.applied @ self.all_estimates)
+        correction = self.columns[on] @ self.all_estimates
         uncertain = self.prediction_variance(out)[0]
         return bool(uncertain < MAX_PREDICTION_VARIANCE * float(correction @ correction) + on.sum())
 
     def prediction_variance(self, out: BoolArray) -> tuple[float, float]:
         """Return the squares that errors of estimates without the units `out` add there, and half their variance."""
-        columns = self.columns[out[self.weighting.system.blocks.unit]] @ self.applied
+        columns = self.columns[out[self.weighting.system.blocks.unit]]
         spread = (columns.T @ columns) @ self._without(out)[1]
         return float(np.trace(spread)), float(np.trace(spread @ spread))
 
