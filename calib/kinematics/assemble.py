@@ -164,7 +164,7 @@ def _notes(fitted: Fitted, whole: Model, kind: str) -> Iterator[str]:
             "are determined; a straight run of known length would determine the scale."
         )
     if held := {"front_radius_m", "rear_radius_m", "wheel_radius_m"}.intersection(fitted.undetermined):
-        yield f"{held.pop()} is held at its nominal value: a straight run of known length would determine the scale."
+        yield f"{min(held)} is held at its nominal value: a straight run of known length would determine the scale."
     if kind == "skid" and "track_m" in fitted.parameters.free_names:
         yield "The track_m of a skid-steered vehicle is its effective track: it holds for this floor and load."
     if _gyro_alone(fitted):

@@ -178,7 +178,7 @@ def _influence(runs: _Residuals) -> Check | None:
     )
     # within the others' interval the law with them holds the truth
     fails = moved > stdtrit(dof, 0.975) ** 2
-    return tested("influence", size, f"studentised residual {last + 1} of {n}", p_value, sentences, fails=fails)
+    return tested("influence", size, f"largest studentised residual of {n - last}", p_value, sentences, fails=fails)
 
 
 def _normality(runs: _Residuals) -> Check | None:

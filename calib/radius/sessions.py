@@ -32,6 +32,8 @@ HC3_BELOW: Final = 0.01
 HC3_MIN_DOF: Final = 4
 #: leverage is kept so far below one in HC3
 HC3_MIN_SLACK: Final = 0.05
+#: one less the leverage of a run that the design fits exactly: rounding
+FITTED_EXACTLY: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -334,7 +336,7 @@ def standing_out(basis: FloatArray, residual: FloatArray, most: int) -> list[tup
     residual, slack, found = residual.copy(), 1.0 - np.sum(basis**2, axis=1), []
     squares = float(residual @ residual)
     for dof in range(len(residual) - basis.shape[1] - 1, 1, -1)[:most]:
-        free, left = slack > 1e-9, float(residual @ residual)
+        free, left = slack > FITTED_EXACTLY, float(residual @ residual)
         # externally studentised
         others = np.maximum(left - residual[free] ** 2 / slack[free], 1e-12 * squares) / dof
         size = np.zeros_like(residual)
@@ -342,7 +344,7 @@ def standing_out(basis: FloatArray, residual: FloatArray, most: int) -> list[tup
         worst = int(np.argmax(size))
         found.append((worst, float(size[worst]), min(float(2 * free.sum() * stdtr(dof, -size[worst])), 1.0)))
         column = (np.arange(len(residual)) == worst) - basis @ basis[worst]
-        column /= np.sqrt(np.maximum(slack[worst], 1e-9))
+        column /= np.sqrt(np.maximum(slack[worst], FITTED_EXACTLY))
         residual, slack = residual - column * (column @ residual), slack - column**2
         basis = np.column_stack((basis, column))
     return found

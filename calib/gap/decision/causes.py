@@ -97,7 +97,7 @@ def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[s
         is_certain = cause.probability > EVEN_PROBABILITY and likeliest >= CERTAIN_PROBABILITY
         # an error of the largest cause's law looks like a small cause
         doubtful = cause.share <= SMALL_SHARE * largest and not is_certain
-        # what looks like radii or track as well has a small signal beside them, and may have all of the gap
+        # what radii or track may be instead has a small signal beside them, and may have all of the gap
         weak = cause.share <= SMALL_SHARE and cause.signal < min(WEAK_SIGNAL, FORM_ERROR_SHARE * strongest)
         return cause.share < NEGLIGIBLE_SHARE * largest or doubtful or weak
 
