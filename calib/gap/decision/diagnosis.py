@@ -103,10 +103,9 @@ class Evidence:
     @cached_property
     def unaided_scale(self) -> dict[str, list[Form]]:
         """The scale of a reference that alone measures lengths, which no search can weigh; else empty."""
-        name, usable = ReferenceScale.id, self.observations.usable
-        if name not in self.effects or usable[:, Channel.DISTANCE].any() or not usable[:, Channel.ALONG].any():
-            return {}
-        return {name: ReferenceScale().unaided(self.observations)[:1]}
+        name, scale = ReferenceScale.id, ReferenceScale()
+        alone = self.observations.usable[:, Channel.ALONG].any() and not scale.aided(self.observations)
+        return {name: scale.unaided(self.observations)[:1]} if name in self.effects and alone else {}
 
     @property
     def variance_factor(self) -> float:

@@ -177,7 +177,7 @@ class ReferenceScale(Effect):
     title = "a pose reference of wrong scale"
     implausible = "both effective radii with the track"
     family = Family.REFERENCE
-    needs = "end positions beside distances by another instrument"
+    needs = "end positions beside distances by another instrument or a front wheel"
     separates = "a length taped on the floor, against the reference"
     needs_calibration = True
     #: label of the form whose scale changes as the radii of wheels would
@@ -185,8 +185,13 @@ class ReferenceScale(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """Return a constant scale and one by temperature; none without both: what alone measures is the standard."""
-        known = observations.usable[:, Channel.DISTANCE].any() and observations.usable[:, Channel.ALONG].any()
-        return self.unaided(observations) if known else []
+        return self.unaided(observations) if self.aided(observations) else []
+
+    @staticmethod
+    def aided(observations: Observations) -> bool:
+        """Return whether a rangefinder or a counted front wheel measures lengths beside the reference."""
+        beside = observations.usable[:, [Channel.DISTANCE, Channel.FRONT]].any()
+        return bool(beside and observations.usable[:, Channel.ALONG].any())
 
     def unaided(self, observations: Observations) -> list[Form]:
         """Return the forms where nothing else may measure a length."""

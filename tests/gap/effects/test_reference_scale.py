@@ -8,8 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.campaign.model import Campaign
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
-from tests.gap.effects.making import DIFFERENTIAL, Motion, Run, Truth, campaign, end_pose, loaded, noisy
+from tests.gap.effects.making import (
+    DIFFERENTIAL,
+    ROUTE,
+    STRAIGHT,
+    Motion,
+    Run,
+    Truth,
+    campaign,
+    end_pose,
+    loaded,
+    noisy,
+    turned,
+)
 
 Diagnosing = Callable[..., Diagnosis]
 
@@ -27,11 +40,29 @@ def stretched(share: float, seed: int, *, track: float = 0.0) -> Truth:
     return both
 
 
+def without_laser(made: Campaign) -> Campaign:
+    numbers = {**made.runs.numbers, "distance_m": np.full(len(made.runs), np.nan)}
+    return replace(made, runs=replace(made.runs, numbers=numbers))
+
+
 def test_a_reference_of_wrong_scale_is_not_three_causes_of_one_size(diagnosing: Diagnosing) -> None:
     """Radii, track and rangefinder off by the same share would leave as little."""
     verdict = diagnosing(campaign(loaded(), truth=stretched(5e-3, 12), vehicle=DIFFERENTIAL), plan=False)
     assert [cause.effect for cause in verdict.causes] == ["reference_scale"]
     assert not verdict.correction.calibration.any()
+
+
+def test_a_counted_front_wheel_tells_it_where_no_laser_does(diagnosing: Diagnosing) -> None:
+    """Of radii and track it would have to be a front wheel and a steering off by the same share, too."""
+    routes = (ROUTE, turned(ROUTE), STRAIGHT)
+    runs = [replace(run, pieces=routes[n % 3], front=True, steps=400, ramp=True) for n, run in enumerate(loaded())]
+    verdict = diagnosing(without_laser(campaign(runs, truth=stretched(2.5e-3, 12))), plan=False)
+    # a step's angle is logged at its end, where the next one begins
+    scale, *others = verdict.causes
+    assert {cause.effect for cause in others} <= {"steering_delay"}
+    assert scale.effect == "reference_scale"
+    (size,) = scale.parameters.values()
+    assert size.ci95[0] < 2.5e-3 < size.ci95[1]
 
 
 @pytest.mark.parametrize(("track", "alike"), [(0.0, True), (5e-3, False)])
@@ -40,8 +71,7 @@ def test_radii_and_track_off_alike_may_be_the_scale_of_a_reference_that_alone_me
 ) -> None:
     """Longer ways by 0.5 % are radii and track 0.5 % larger; a track off otherwise is one."""
     made = campaign(loaded(), truth=stretched(5e-3, 12, track=track), vehicle=DIFFERENTIAL)
-    runs = replace(made.runs, numbers={**made.runs.numbers, "distance_m": np.full(len(made.runs), np.nan)})
-    verdict = diagnosing(replace(made, runs=runs))
+    verdict = diagnosing(without_laser(made))
     assert {cause.effect for cause in verdict.causes} == {"radius_scale", "track_width"}
     assert verdict.recommended is not alike
     told = [group[:3] for group in verdict.groups] == [("radius_scale", "track_width", "reference_scale")]
