@@ -25,6 +25,8 @@ from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, Refe
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.types import few_digits
 
+#: more confounded effects do not identify the cause: no more are listed
+LARGEST_GROUP: Final = 6
 #: what settles most doubts
 PLAN: str = "'calib plan' names the runs that tell"
 #: and a reference's scale without another measure of length
@@ -294,6 +296,11 @@ def parting(group: Sequence[str]) -> list[str]:
     return [group[0], *found] if found else []
 
 
+def _either(group: Sequence[str]) -> str:
+    listed = group if len(group) <= LARGEST_GROUP else (group[0], f"{len(group) - 1} other effects")
+    return " or ".join(listed)
+
+
 def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:
     """Yield where corrections of confounded effects differ.
 
@@ -301,14 +308,14 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
     """
     for found in filter(None, map(parting, tied if on == DRIVEN else ())):
         yield (
-            f"these runs cannot tell {' or '.join(found)}: what they follow went together, and where it does not their "
+            f"these runs cannot tell {_either(found)}: what they follow went together, and where it does not their "
             f"corrections part; {PLAN}"
         )
     # a scale grows with the way: what agrees here does not on longer runs
     by_tape = any(tuple(group[:3]) == confounding.SCALED for group in tied)
     if apart_m is None or (corrections_agree(apart_m, closure) and not by_tape):
         return
-    groups = "; ".join(" or ".join(group) for group in tied)
+    groups = "; ".join(map(_either, tied))
     yield (
         f"these runs cannot tell {groups}, and their corrections differ by {few_digits(1e3 * apart_m)} mm at the end "
         f"of the {on} (noise {few_digits(1e3 * (closure.floor_rms_m or 0.0))} mm); {TAPE if by_tape else PLAN}"

@@ -6,7 +6,7 @@ from math import isinf
 from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
-from calib.gap.decision.fix import REPEAT
+from calib.gap.decision.fix import LARGEST_GROUP, REPEAT
 from calib.gap.decision.held_out import LARGE_RESIDUAL, RERUN, ChannelClosure
 from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE, ON_FLOOR, fails
 from calib.gap.effects.library import effect_class, title_of
@@ -20,8 +20,6 @@ from calib.types import few_digits
 if TYPE_CHECKING:
     from calib.odometry.simulation import Improvement as Reduction
 
-#: more confounded effects do not identify the cause: no more are listed
-LARGEST_GROUP: Final = 6
 #: channels and covariates of a sentence; the tables have all
 MOST_CHANNELS: Final = 3
 MOST_COVARIATES: Final = 2

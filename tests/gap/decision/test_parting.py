@@ -136,3 +136,13 @@ def test_a_parameter_and_its_alias_are_as_probable_together_however_they_share_i
     together = any_probability(evidence, {"curve_scrub", "track_width"})  # type: ignore[arg-type]
     assert together == pytest.approx(calibrated(1.0))
     assert any_probability(evidence, {"curve_scrub"}) == pytest.approx(calibrated(share))  # type: ignore[arg-type]
+
+
+def test_a_group_too_large_to_identify_a_cause_is_counted_not_listed() -> None:
+    """Six are listed, as in the sentence; of a dozen the first and how many others."""
+    names = [f"effect_{n}" for n in range(12)]
+    closure = Closure(floor_rms_m=1e-3)
+    listed, counted = (" ".join(disagreement(1.0, "journeys", closure, [names[:n]])) for n in (6, 12))
+    assert "effect_0 or effect_1 or effect_2 or effect_3 or effect_4 or effect_5, and" in listed
+    assert "effect_0 or 11 other effects, and" in counted
+    assert "effect_1 " not in counted
