@@ -277,8 +277,8 @@ _STEER_STEP_RAD: Final = 5e-4
 
 def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArray:
     """Return the pose reference without reading noise, shape (3, n_frames, n_runs)."""
-    late = world.latency_s * record.v_mps
-    late = np.minimum(late, np.hypot(record.x_m, record.y_m))
+    # nothing is read before the start
+    late = np.minimum(world.latency_s * record.v_mps, record.odo[3])
     curvature = record.omega_radps / np.where(record.v_mps > 1e-9, record.v_mps, 1.0)
     theta = record.theta_rad - np.where(record.v_mps > 0, late * curvature, 0.0)
     x, y = record.x_m - late * np.cos(record.theta_rad), record.y_m - late * np.sin(record.theta_rad)

@@ -9,7 +9,7 @@ import pytest
 
 from calib.campaign.settings import OdometryModel
 from calib.plant.design import Design, good_design
-from calib.plant.drive import drive, simulated_poses
+from calib.plant.drive import drive, reference_poses, simulated_poses
 from calib.plant.make import apply_causes, make_campaign
 from calib.plant.world import Cause, Noise, build_world, draw_noise, quiet, wheel_loads
 from calib.vehicle import Vehicle
@@ -181,6 +181,18 @@ def test_a_flying_run_ends_at_speed() -> None:
     design = some(["corridor"], flying=np.array([True]))
     record = drive(build_world(design, MODEL), quiet(1))
     assert record.last(record.v_mps)[0] == pytest.approx(0.5, abs=1e-6)  # the set speed, exactly held
+
+
+def test_a_late_reference_lags_by_speed_times_delay_where_a_route_ends_at_its_start_too() -> None:
+    """On a square that closes, as on the others: v tau behind, along the heading."""
+    design, delay_s = some(ALL_KINDS, flying=np.ones(len(ALL_KINDS), dtype=bool)), 0.05
+    world = apply_causes(build_world(design, MODEL), [Cause("reference_latency", delay_s)])
+    noise = quiet(len(design))
+    record = drive(world, noise, quantise=False)
+    seen_x_m, seen_y_m, _ = record.last(reference_poses(world, noise, record))
+    lag_m = np.hypot(record.last(record.x_m) - seen_x_m, record.last(record.y_m) - seen_y_m)
+    # rtol: the follower holds its speed to a thousandth where a route ends in a turn
+    np.testing.assert_allclose(lag_m, 0.5 * delay_s, rtol=2e-3)
 
 
 def test_the_same_seed_gives_the_same_campaign() -> None:
