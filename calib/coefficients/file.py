@@ -268,7 +268,7 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
     Raises BadFileError; ImplausibleError where the geometry is doubtful or wrong and was not accepted.
     """
     path = Path(path)
-    path = path / GEOMETRY_FILE if path.is_dir() else path
+    path = within if (within := path / GEOMETRY_FILE).is_file() else path
     try:
         if path.stat().st_size > FILE_LIMIT_BYTES:
             raise _bad(path, f"{path.stat().st_size} bytes", f"at most {FILE_LIMIT_BYTES}")

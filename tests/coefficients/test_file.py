@@ -113,6 +113,13 @@ def test_other_content_is_refused_in_one_line(tmp_path: Path, content: bytes) ->
     assert "\n" not in str(caught.value)
 
 
+def test_a_folder_without_a_result_is_named_itself(tmp_path: Path) -> None:
+    """Not a file in it that nobody gave."""
+    with pytest.raises(BadFileError) as refused:
+        load_coefficients(tmp_path)
+    assert "geometry.json" not in str(refused.value)
+
+
 @pytest.mark.parametrize("number", ["NaN", "Infinity", "1e999", "1" + "0" * 400])
 def test_numbers_that_are_not_finite_doubles_are_refused(file: CoefficientFile, tmp_path: Path, number: str) -> None:
     path = tmp_path / "c.json"
