@@ -19,7 +19,7 @@ from calib.campaign.checks.poses import implausible_poses
 from calib.campaign.checks.settings import implausible_senses
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
-from calib.types import FloatArray, Progress, silent, split_suffix, stepped
+from calib.types import FloatArray, Progress, grouped, silent, split_suffix, stepped
 from calib.vehicle import Usual
 
 
@@ -246,11 +246,8 @@ _MOST_LISTED: Final = 3
 
 
 def _together(notes: Iterable[Note]) -> list[Note]:
-    same: dict[str, list[Note]] = {}
-    for note in notes:
-        same.setdefault(note.text, []).append(note)
     merged = []
-    for of in same.values():
+    for of in grouped((note.text, note) for note in notes).values():
         names = list(dict.fromkeys(one.run_id or one.where for one in of))
         merged.append(replace(of[0], where=f"runs {design.listed(names)}") if len(names) > 1 else of[0])
     return merged
