@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign import logs
 from calib.campaign.ingest.guesses import (
     ONE_TURN,
     Lag,
@@ -17,16 +18,6 @@ from calib.campaign.ingest.guesses import (
 )
 from calib.campaign.ingest.mapping import MappedColumn, Mapping, counts_per_unit
 from calib.campaign.ingest.runs import resolved, sheet_of, whole_name, without_unit
-from calib.campaign.logs import (
-    add_recognised,
-    detect_wrap_bits,
-    from_first_sample,
-    in_log,
-    log_column,
-    omit_lost_frames,
-    refuse_incomplete,
-    unwrap,
-)
 from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, Border, Campaign, Note
 from calib.campaign.readers import RawTable, Wanted, holds_recording, joined_table, read_recording, read_table
 from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty
@@ -93,10 +84,10 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campa
     columns, epoch = _renamed(raw, lines, shown, border)
     if "t_s" in columns:
         _to_counts(columns, lines, settings, shown, border)
-    refuse_incomplete(columns, shown, raw.line)
-    omit_lost_frames(columns, REFERENCE_POSE, shown, border)
+    logs.refuse_incomplete(columns, shown, raw.line)
+    logs.omit_lost_frames(columns, REFERENCE_POSE, shown, border)
     columns = _without_repeats(columns, shown, border)
-    start = from_first_sample(columns, shown, border)
+    start = logs.from_first_sample(columns, shown, border)
     return MappedLog(shown, columns, round(start * NS_PER_S) if epoch is None else epoch, lags, bits)
 
 
@@ -106,7 +97,7 @@ def _table(
     sources = {name for line in lines.values() for name in line.sources}
 
     def wanted(name: str) -> bool:
-        return name in sources or without_unit(name) in sources or in_log(name)
+        return name in sources or without_unit(name) in sources or logs.in_log(name)
 
     raw = _read(path, wanted, mapping)
     lines = resolved(lines, raw.columns)
@@ -138,10 +129,10 @@ def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> 
         sources = {name.removeprefix(before) for line in lines.values() for name in line.sources} | {clock.column}
 
         def wanted(name: str, sources: set[str] = sources) -> bool:
-            return name in sources or without_unit(name) in sources or log_column(name).name == "t_s"
+            return name in sources or without_unit(name) in sources or logs.log_column(name).name == "t_s"
 
         raw = _read(path, wanted, mapping)
-        own = next((name for name in raw.columns if log_column(name).name == "t_s"), clock.column)
+        own = next((name for name in raw.columns if logs.log_column(name).name == "t_s"), clock.column)
         time = whole_name(clock.column, raw.columns)
         time = time if time in raw.columns else whole_name(own, raw.columns)
         if time not in raw.columns:
@@ -228,10 +219,10 @@ def _with_heading(
 ) -> dict[str, FloatArray]:
     out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
     poses = [column for name in REFERENCE_POSE if name in lines for column in lines[name].sources]
-    omit_lost_frames(out, poses, shown, border)
+    logs.omit_lost_frames(out, poses, shown, border)
     for name, cells in out.items():
         mapped = name == line.column
-        match = recognise(line.target("ref_theta_rad"), LOG_COLUMNS, further=False) if mapped else log_column(name)
+        match = recognise(line.target("ref_theta_rad"), LOG_COLUMNS, further=False) if mapped else logs.log_column(name)
         if mapped and line.w in columns:
             w, match = columns[line.w], Recognised(name, "ref_theta_rad")
             cells = np.arctan2(2.0 * w * cells, w * w - cells * cells)
@@ -265,7 +256,7 @@ def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[d
         else:
             match = recognise(line.target(name), LOG_COLUMNS, further=False)
             columns[name] = converted(cells, match.factor * line.scale(name), match.offset)
-    time_column = add_recognised(columns, raw, shown, border, {line.column for line in lines.values()})
+    time_column = logs.add_recognised(columns, raw, shown, border, {line.column for line in lines.values()})
     time_column = lines["t_s"].column if "t_s" in lines else time_column
     order = [name for name in (*LOG_COLUMNS, CUT_COLUMN) if name in columns]
     return {name: columns[name] for name in order}, raw.epochs.get(time_column)
@@ -343,8 +334,8 @@ def _travelled(stream: Stream, positions: FloatArray) -> FloatArray:
 def continuous_counts(counts: FloatArray, bits: int | None, time_s: FloatArray | None) -> tuple[FloatArray, int | None]:
     """Return counts without overflows, and the counter's width, if seen."""
     offsets = np.asarray([0, len(counts)])
-    width = bits or detect_wrap_bits(counts, offsets, time_s)
-    return (counts, None) if width is None else (unwrap(counts, offsets, width)[0], width)
+    width = bits or logs.detect_wrap_bits(counts, offsets, time_s)
+    return (counts, None) if width is None else (logs.unwrap(counts, offsets, width)[0], width)
 
 
 def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:

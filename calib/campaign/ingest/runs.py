@@ -11,16 +11,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.ingest.contents import (
-    WORKBOOK,
-    expected_name,
-    fits_name,
-    moment_of,
-    names_moment,
-    run_in,
-    run_number,
-    with_number,
-)
+from calib.campaign.ingest import contents
+from calib.campaign.ingest.contents import moment_of
 from calib.campaign.ingest.mapping import (
     OF_A_RUN,
     TABLE_COLUMNS,
@@ -103,7 +95,7 @@ def files_of_sheets(mapping: Mapping, path: Path, files: Sequence[Path], hashes:
     """Return the files that a mapping's sheets name where the run table at `path` is no workbook; add their hashes."""
     found: dict[str, Path] = {}
     for target, line in mapping.table.columns.items():
-        if line.sheet and path.suffix.lower() != WORKBOOK:
+        if line.sheet and path.suffix.lower() != contents.WORKBOOK:
             named = [file for file in files if line.sheet in {file.name, file.stem}]
             if len(named) != 1:
                 expected = f"the name of one further source, as {path.name} has no sheets"
@@ -228,7 +220,7 @@ def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown
 def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> npt.NDArray[Any]:
     value = str(line.value).lower() if isinstance(line.value, bool) else line.value
     if name == "run_id" and isinstance(value, str) and "{n" in value:
-        return object_array([with_number(value, number) for number in range(1, n_runs + 1)])
+        return object_array([contents.with_number(value, number) for number in range(1, n_runs + 1)])
     values = value if isinstance(value, list) else [value] * n_runs
     if len(values) != n_runs:
         raise bad_line(mapping.shown, "table", name, f"{len(values)} values", f"one value for each of {n_runs} runs")
@@ -272,15 +264,15 @@ def match_logs(
         found: dict[str, Path] = {}
         moment = moments.get(int(runs.line[index]))
         for tag, pattern in patterns.items():
-            wanted = (expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
+            wanted = (contents.expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
             if not wanted and named is not None:
                 continue
             names = [wanted] if named is None else [wanted, f"{wanted}.*"]
             fitting = [
                 path
                 for path in files
-                if (any(fits_name(path.name, name) for name in names) if wanted else path.stem == run_id)
-                and (moment is None or names_moment(path.name, moment))
+                if (any(contents.fits_name(path.name, name) for name in names) if wanted else path.stem == run_id)
+                and (moment is None or contents.names_moment(path.name, moment))
             ]
             if len(fitting) > 1:
                 raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
@@ -300,7 +292,7 @@ def match_logs(
 def sheet_of(path: Path) -> tuple[Path, str | None]:
     """Return a log's file, and the sheet where it is one of a workbook: ``book.xlsx/Run 1``."""
     book = path.parent
-    return (book, path.name) if book.suffix.lower() == WORKBOOK and book.is_file() else (path, None)
+    return (book, path.name) if book.suffix.lower() == contents.WORKBOOK and book.is_file() else (path, None)
 
 
 def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border: Border) -> None:
@@ -311,7 +303,7 @@ def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border
         text, code = "belongs to no run of the table", "unused_source"
         if twin is not None:
             text, code = f"holds the same bytes as {twin}", "repeated_log"
-        from_0 = log.file is not None and run_in(path.name, log.file) == "0"
+        from_0 = log.file is not None and contents.run_in(path.name, log.file) == "0"
         text += " and was omitted" + "; where logs count from 0, write {n-1} in log.file" * from_0
         border.say(str(path), text, code, level="suspicious" if from_0 else "info")
 
@@ -320,6 +312,6 @@ def files_of_runs(files: Sequence[Path], log: LogSection) -> dict[str, dict[str,
     """Return the runs of files by the patterns of ``log.files``, in the order of their names, and the files of each."""
     found: dict[str, dict[str, Path]] = {}
     for tag, pattern in log.files.items():
-        for path in (path for path in files if fits_name(path.name, pattern)):
-            found.setdefault(run_in(path.name, pattern) or "", {})[tag] = path
-    return dict(sorted(found.items(), key=lambda run: (run_number(run[0], None) or 0, run[0])))
+        for path in (path for path in files if contents.fits_name(path.name, pattern)):
+            found.setdefault(contents.run_in(path.name, pattern) or "", {})[tag] = path
+    return dict(sorted(found.items(), key=lambda run: (contents.run_number(run[0], None) or 0, run[0])))
