@@ -18,15 +18,7 @@ from weakref import finalize
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.campaign.settings import (
-    WHEEL_LOADS,
-    Encoder,
-    Odometry,
-    OdometryModel,
-    Rangefinder,
-    Recognised,
-    Reference,
-)
+from calib.campaign.settings import WHEEL_LOADS, Encoder, Odometry, OdometryModel, Rangefinder, Recognised, Reference
 from calib.errors import BadFileError, BadInputError
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle

@@ -1,8 +1,7 @@
 """Build a campaign folder of raw laboratory files."""
 
 import re
-from collections.abc import Mapping as MappingType
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Final
@@ -12,14 +11,7 @@ import numpy as np
 from calib.campaign.ingest.contents import listed_files
 from calib.campaign.ingest.logs import MappedLog
 from calib.campaign.ingest.mapping import SHEET, bad_line, read_mapping
-from calib.campaign.ingest.runs import (
-    files_of_runs,
-    files_of_sheets,
-    mapped_runs,
-    match_logs,
-    names_runs,
-    with_lookups,
-)
+from calib.campaign.ingest.runs import files_of_runs, files_of_sheets, mapped_runs, match_logs, names_runs, with_lookups
 from calib.campaign.ingest.segmentation import Ingestion, Segment, end_values, segment_recordings
 from calib.campaign.logs import LogStack, detect_wrap_bits
 from calib.campaign.model import Border, Campaign, Note, RunTable, stacked
@@ -47,7 +39,7 @@ class Ingested:
     folder: Path
     campaign: Campaign
     #: path as given -> SHA-256
-    sources: MappingType[str, str]
+    sources: Mapping[str, str]
     notes: tuple[Note, ...]
     cuts: tuple[Segment, ...] = ()
 
@@ -238,7 +230,7 @@ def _runs_of_sheets(path: Path, work: Ingestion) -> RunTable:
     return runs.select(np.argsort([int(name) for name in named], kind="stable")) if numbered else runs
 
 
-def _without_logs(runs: RunTable, missing: MappingType[int, str], shown: str, border: Border) -> RunTable:
+def _without_logs(runs: RunTable, missing: Mapping[int, str], shown: str, border: Border) -> RunTable:
     counted = np.isfinite(runs.number("counts_left") + runs.number("counts_right"))
     excluded = runs.excluded.copy()
     reasons = runs.label("exclusion_reason").astype(object)
@@ -265,7 +257,7 @@ def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: Ingestion
         work.border.say(log.shown, "left and right were exchanged, as the mapping says", "exchanged", run_id=run_id)
 
 
-def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
+def _with_ends(runs: RunTable, logs: Mapping[int, MappedLog]) -> RunTable:
     numbers = dict(runs.numbers)
     for index, log in logs.items():
         for name, value in end_values(log.columns).items() if log.from_start else ():
@@ -274,7 +266,7 @@ def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
     return replace(runs, numbers=numbers)
 
 
-def _with_wrap_bits(logs: MappingType[int, MappedLog], work: Ingestion) -> Encoder:
+def _with_wrap_bits(logs: Mapping[int, MappedLog], work: Ingestion) -> Encoder:
     encoder = work.settings.encoder
     if encoder.wrap_bits is not None:
         return encoder

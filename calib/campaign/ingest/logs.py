@@ -1,7 +1,6 @@
 """Logs and recordings under calib's names: streams joined on the wheels' times, counts, clocks."""
 
-from collections.abc import Iterable
-from collections.abc import Mapping as MappingType
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -9,14 +8,8 @@ from typing import Final
 import numpy as np
 
 from calib.campaign import logs
-from calib.campaign.ingest.guesses import (
-    ONE_TURN,
-    Lag,
-    estimate_lag,
-    guessed_log_column,
-    stem_and_unit,
-)
-from calib.campaign.ingest.mapping import MappedColumn, Mapping, counts_per_unit
+from calib.campaign.ingest.guesses import ONE_TURN, Lag, estimate_lag, guessed_log_column, stem_and_unit
+from calib.campaign.ingest.mapping import LabMapping, MappedColumn, counts_per_unit
 from calib.campaign.ingest.runs import resolved, sheet_of, whole_name, without_unit
 from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, Border, Campaign, Note
 from calib.campaign.readers import RawTable, Wanted, holds_recording, joined_table, read_recording, read_table
@@ -31,7 +24,7 @@ CUT_COLUMN: Final = "cut"
 _LEAST_LAG_SAMPLES: Final = 20
 #: at this spacing noise hardly lengthens a travelled distance
 _POSE_SPACING_S: Final = 0.1
-Lines = MappingType[str, MappedColumn]
+Lines = Mapping[str, MappedColumn]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,13 +37,13 @@ class MappedLog:
     columns: dict[str, FloatArray]
     #: time of the first sample: nanoseconds since 1970, or since midnight or the start of the clock
     start_ns: int
-    lags: MappingType[str, Lag] = field(default_factory=dict)
+    lags: Mapping[str, Lag] = field(default_factory=dict)
     wrap_bits: int | None = None
     #: range and poses count from the run's start
     from_start: bool = False
 
 
-def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campaign, border: Border) -> MappedLog:
+def read_mapped(files: Mapping[str, Path], mapping: LabMapping, settings: Campaign, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
     `files`: one under an empty name, or those of a run by the names of ``log.files``. Raises BadFileError where a
@@ -92,7 +85,7 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campa
 
 
 def _table(
-    path: Path, shown: str, lines: Lines, mapping: Mapping, border: Border
+    path: Path, shown: str, lines: Lines, mapping: LabMapping, border: Border
 ) -> tuple[RawTable, dict[str, MappedColumn]]:
     sources = {name for line in lines.values() for name in line.sources}
 
@@ -105,12 +98,12 @@ def _table(
     return replace(raw, columns=_with_heading(raw.columns, lines, shown, border)), lines
 
 
-def _read(path: Path, wanted: Wanted, mapping: Mapping) -> RawTable:
+def _read(path: Path, wanted: Wanted, mapping: LabMapping) -> RawTable:
     book, sheet = sheet_of(path)
     return read_table(book, str(path), wanted, replace(mapping.log.layout, sheet=sheet or mapping.log.sheet))
 
 
-def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Recording:
+def _recording(path: Path, shown: str, lines: Lines, mapping: LabMapping) -> Recording:
     wanted = WantedColumns(name for line in lines.values() for name in line.sources)
     recording = read_recording(path, shown, wanted if lines else None)
     if any(not {*line.sources} <= {*recording.column_names} for line in lines.values()):
@@ -120,7 +113,7 @@ def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Record
     return recording
 
 
-def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> Recording:
+def _gathered(files: Mapping[str, Path], lines: Lines, mapping: LabMapping) -> Recording:
     streams: list[Stream] = []
     notes: list[Note] = []
     for tag, path in files.items():
@@ -159,7 +152,9 @@ def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> 
     return Recording(tuple(streams), tuple(notes))
 
 
-def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Mapping, row: int | None = None) -> None:
+def _refuse_missing(
+    names: Iterable[str], lines: Lines, shown: str, mapping: LabMapping, row: int | None = None
+) -> None:
     known = list(names)
     for name, line in lines.items():
         for column in (source for source in line.sources if source not in known):
@@ -170,7 +165,7 @@ def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Map
             raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
 
 
-def _empty_cells(columns: MappingType[str, FloatArray], lines: Lines) -> int:
+def _empty_cells(columns: Mapping[str, FloatArray], lines: Lines) -> int:
     of_wheels = (one for name, one in lines.items() if name.startswith(("counts_", "speed_")) and one.column in columns)
     return sum(int(np.isnan(columns[one.column]).sum()) for one in of_wheels if one.wheel_unit != "counts/sample")
 
@@ -214,9 +209,7 @@ def _unwrapped(
     return replace(recording, streams=tuple(streams)), bits
 
 
-def _with_heading(
-    columns: MappingType[str, FloatArray], lines: Lines, shown: str, border: Border
-) -> dict[str, FloatArray]:
+def _with_heading(columns: Mapping[str, FloatArray], lines: Lines, shown: str, border: Border) -> dict[str, FloatArray]:
     out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
     poses = [column for name in REFERENCE_POSE if name in lines for column in lines[name].sources]
     logs.omit_lost_frames(out, poses, shown, border)
@@ -232,7 +225,7 @@ def _with_heading(
     return out
 
 
-def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingType[str, Lag], shown: str) -> RawTable:
+def _joined(recording: Recording, base: Stream, lines: Lines, removed: Mapping[str, Lag], shown: str) -> RawTable:
     clock = "t_s" not in lines
     if clock and base.time_ns is None and "t_s" not in base.columns:
         found = f"no clock in {base.name!r} ({', '.join(base.columns)[:120]})"

@@ -1,8 +1,7 @@
 """Segmentation of recordings into runs, each in its start frame."""
 
 import itertools
-from collections.abc import Mapping as MappingType
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -11,7 +10,7 @@ import numpy as np
 
 from calib.campaign.ingest.contents import with_number
 from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog, continuous_counts, read_mapped
-from calib.campaign.ingest.mapping import MappedColumn, Mapping, Segmentation
+from calib.campaign.ingest.mapping import LabMapping, MappedColumn, Segmentation
 from calib.campaign.ingest.runs import mapped_runs, sheet_of
 from calib.campaign.model import REFERENCE_POSE, Border, Campaign, RunTable
 from calib.campaign.readers import RawTable
@@ -42,7 +41,7 @@ class Segment:
 class Ingestion:
     """The files of an ingestion, what was read of them, and what is said of it."""
 
-    mapping: Mapping
+    mapping: LabMapping
     settings: Campaign
     border: Border
     progress: Progress
@@ -51,7 +50,7 @@ class Ingestion:
     recordings: dict[str, MappedLog] = field(default_factory=dict)
     segments: list[Segment] = field(default_factory=list)
 
-    def read_log(self, files: MappingType[str, Path]) -> MappedLog:
+    def read_log(self, files: Mapping[str, Path]) -> MappedLog:
         """Read the log of a run or a recording; see `read_mapped`."""
         log = read_mapped(files, self.mapping, self.settings, self.border)
         for path, _ in map(sheet_of, files.values()):
@@ -59,7 +58,7 @@ class Ingestion:
             self.hashes |= {str(part): sha256_file(part) for part in parts}
         return log
 
-    def read_logs(self, logs_of_runs: MappingType[int, MappingType[str, Path]]) -> dict[int, MappedLog]:
+    def read_logs(self, logs_of_runs: Mapping[int, Mapping[str, Path]]) -> dict[int, MappedLog]:
         """Read logs of one run each, in its start frame where the mapping says so."""
         stated = [name for name, line in self.mapping.log.columns.items() if line.from_start is True]
         distance = "range_m" in stated
@@ -73,7 +72,7 @@ class Ingestion:
 
 
 def segment_recordings(
-    work: Ingestion, runs: RunTable | None, table: RawTable | None, recordings: MappingType[Path, MappedLog]
+    work: Ingestion, runs: RunTable | None, table: RawTable | None, recordings: Mapping[Path, MappedLog]
 ) -> tuple[RunTable, dict[int, MappedLog]]:
     """Return rows, and the log of each run by its number; `work` gets the recordings, and the part that each run is.
 
@@ -128,7 +127,7 @@ def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
     return replace(log, columns=columns, wrap_bits=found)
 
 
-def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str, FloatArray]:
+def _columns_of(columns: Mapping[str, FloatArray], part: slice) -> dict[str, FloatArray]:
     out = {name: values[part] for name, values in columns.items() if name != CUT_COLUMN}
     out["t_s"] = np.round(out["t_s"] - out["t_s"][0], 9)
     return {name: values - values[0] if name.startswith("counts_") else values for name, values in out.items()}
@@ -142,7 +141,7 @@ def _table_times(table: RawTable, cut: Segmentation, shown: str) -> list[list[An
 
 
 def find_runs(
-    cut: Segmentation, log: MappingType[str, FloatArray], *, m_per_count: float, start_ns: int, shown: str
+    cut: Segmentation, log: Mapping[str, FloatArray], *, m_per_count: float, start_ns: int, shown: str
 ) -> list[slice]:
     """Return the runs of a recording.
 
@@ -219,7 +218,7 @@ def _seconds(value: Any, start_ns: int, shown: str) -> float:
         raise BadFileError(shown, f"{value!r:.40}", expected, remedy) from error
 
 
-def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: bool) -> dict[str, FloatArray]:
+def from_start(columns: Mapping[str, FloatArray], *, poses: bool, distance: bool) -> dict[str, FloatArray]:
     """Return a run's columns with poses in its start frame and the range as distance from the start.
 
     The start is the median before the wheels turn: one noisy sample does not turn the path. `poses`, `distance`:
@@ -243,7 +242,7 @@ def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: 
     return out
 
 
-def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
+def end_values(columns: Mapping[str, FloatArray]) -> dict[str, float]:
     """Return distance and end pose of a run from its start: medians after the wheels have stopped."""
     time, wheels = columns["t_s"], _wheels(columns)
     first = len(time) - 1
@@ -255,7 +254,7 @@ def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
     return {name: value for name, value in ends.items() if np.isfinite(value)}
 
 
-def _wheels(columns: MappingType[str, FloatArray]) -> list[FloatArray]:
+def _wheels(columns: Mapping[str, FloatArray]) -> list[FloatArray]:
     return [values for name, values in columns.items() if name.startswith("counts_")]
 
 
