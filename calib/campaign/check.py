@@ -12,14 +12,10 @@ from typing import Final, get_type_hints
 import numpy as np
 
 from calib.campaign.checks import counts, design, measurements, poses, settings
-from calib.campaign.checks.counts import implausible_paths, interrupted_counts
 from calib.campaign.checks.design import SIDES, both_sides, implausible_column, implausible_setting, setting_note
-from calib.campaign.checks.measurements import MOST_RATIO, implausible_distances, implausible_loads, off
-from calib.campaign.checks.poses import implausible_poses
-from calib.campaign.checks.settings import implausible_senses
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
-from calib.types import FloatArray, Progress, silent, split_suffix, stepped
+from calib.types import FloatArray, Progress, grouped, silent, split_suffix, stepped
 from calib.vehicle import Usual
 
 
@@ -27,8 +23,9 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
     """Yield what cannot be, as notes of level ``wrong``; rows flagged as excluded are passed over."""
     notes, campaign = _taken_apart(campaign.included())
     yield from notes
-    of_columns = implausible_distances, implausible_loads, _columns, implausible_poses
-    for check in (_settings, _model, *of_columns, implausible_paths, interrupted_counts, implausible_senses):
+    of_columns = measurements.implausible_distances, measurements.implausible_loads, _columns, poses.implausible_poses
+    of_logs = counts.implausible_paths, counts.interrupted_counts, settings.implausible_senses
+    for check in (_settings, _model, *of_columns, *of_logs):
         yield from check(campaign)
 
 
@@ -38,7 +35,7 @@ def _taken_apart(campaign: Campaign) -> tuple[list[Note], Campaign]:
     counted = dict(zip(("counts_left", "counts_right"), np.where(step < 0, counts, step), strict=True))
     apart = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **counted}))
     ratios = np.array([[design.raw_radius_ratio(one, side) for side in SIDES] for one in (campaign, apart)])
-    fitting = np.abs(np.log(np.abs(ratios))) < np.log(MOST_RATIO)
+    fitting = np.abs(np.log(np.abs(ratios))) < np.log(measurements.MOST_RATIO)
     if len(campaign.runs) < design.LEAST_RUNS or fitting[0].mean() > 0.5 or fitting[1].mean() < design.MOST_OF_THE_RUNS:
         return [], campaign
     text = """the counts are totals that grow from run to run; expected what each run counted, as their steps are; write
@@ -93,7 +90,7 @@ def model_against_vehicle(campaign: Campaign) -> Iterator[Note]:
 def _model(campaign: Campaign) -> Iterator[Note]:
     model = campaign.model
     for key, believed, nominal in _against_vehicle(campaign):
-        if off(believed / nominal):
+        if measurements.off(believed / nominal):
             text = f"""found {believed:g} where the vehicle has {nominal:g}, {believed / nominal:.3g} times; expected
                 the same within a third; check the unit, and whether a diameter was given"""
             yield implausible_setting(key, text)
@@ -246,11 +243,8 @@ _MOST_LISTED: Final = 3
 
 
 def _together(notes: Iterable[Note]) -> list[Note]:
-    same: dict[str, list[Note]] = {}
-    for note in notes:
-        same.setdefault(note.text, []).append(note)
     merged = []
-    for of in same.values():
+    for of in grouped((note.text, note) for note in notes).values():
         names = list(dict.fromkeys(one.run_id or one.where for one in of))
         merged.append(replace(of[0], where=f"runs {design.listed(names)}") if len(names) > 1 else of[0])
     return merged

@@ -18,15 +18,7 @@ from weakref import finalize
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from calib.campaign.settings import (
-    WHEEL_LOADS,
-    Encoder,
-    Odometry,
-    OdometryModel,
-    Rangefinder,
-    Recognised,
-    Reference,
-)
+from calib.campaign.settings import WHEEL_LOADS, Encoder, Odometry, OdometryModel, Rangefinder, Recognised, Reference
 from calib.errors import BadFileError, BadInputError
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import Vehicle
@@ -275,9 +267,11 @@ class Logs:
         cut = {name: read(name, part) for name in columns}
         return {name: column for name, column in cut.items() if len(column) and not np.isnan(column).all()}
 
-    def each(self, at_least: int = 2) -> Iterator[tuple[int, dict[str, FloatArray]]]:
-        """Yield the number and the columns of each run whose log has `at_least` samples."""
-        return ((run, self.of(run)) for run in np.flatnonzero(self.lengths >= at_least).tolist())
+    def each(self, at_least: int = 2, *needed: str) -> Iterator[tuple[int, dict[str, FloatArray]]]:
+        """Yield the number and the columns of each run whose log has `at_least` samples and the columns `needed`."""
+        known = self.columns.keys() >= set(needed)
+        logs = ((run, self.of(run)) for run in np.flatnonzero(known & (self.lengths >= at_least)).tolist())
+        return ((run, log) for run, log in logs if log.keys() >= set(needed))
 
     def select(self, keep: ArrayLike) -> "Logs":
         """Return the logs of the runs that `keep` (bool mask or indices) picks."""

@@ -39,6 +39,11 @@ SLOWEST_RADPS: Final = 0.01
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 
 
+def logged_columns(source: str) -> tuple[str, ...]:
+    """Return the columns of a log that an odometry by `source` needs."""
+    return (*WHEEL_COLUMNS[source], *(("steer_rad",) if source in STEERED else ()))
+
+
 def odometry_source(campaign: Campaign) -> OdometrySource:
     """Return what drives the odometry, one of `WHEEL_COLUMNS`: as the settings say, else as logged."""
     if (stated := campaign.odometry.source) is not None:
@@ -102,14 +107,13 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
         )
     per_m_left = encoder.counts_per_rev_left / (2 * np.pi * model.radius_left_m)
     per_m_right = encoder.counts_per_rev_right / (2 * np.pi * model.radius_right_m)
-    for run, log in logs.each():
-        if motion := _motion(campaign, model, source, log):
-            ahead, left, turn = motion
-            part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
-            half = 0.5 * model.track_m * turn
-            counts["counts_left"][part] = np.cumsum(ahead - half) * per_m_left
-            counts["counts_right"][part] = np.cumsum(ahead + half) * per_m_right
-            aside[part] = np.cumsum(left)
+    for run, log in logs.each(2, *logged_columns(source)):
+        ahead, left, turn = _motion(campaign, model, source, log)
+        part = slice(int(logs.offsets[run]), int(logs.offsets[run + 1]))
+        half = 0.5 * model.track_m * turn
+        counts["counts_left"][part] = np.cumsum(ahead - half) * per_m_left
+        counts["counts_right"][part] = np.cumsum(ahead + half) * per_m_right
+        aside[part] = np.cumsum(left)
     columns = {**logs.columns, **counts, **({ASIDE: aside} if np.any(aside[np.isfinite(aside)] != 0.0) else {})}
     last = np.maximum(logs.offsets[1:] - 1, 0)
     ends = {name: np.where(logs.present, column[last], np.nan) for name, column in counts.items()} if n else {}
@@ -118,12 +122,9 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     return replace(campaign, encoder=encoder, odometry=Odometry(source), runs=counted, logs=logs)
 
 
-def _motion(campaign: Campaign, model: OdometryModel, source: str, log: Mapping[str, FloatArray]) -> Motion | None:
-    steered = source in STEERED
-    if not {*WHEEL_COLUMNS[source], *(("steer_rad",) if steered else ())} <= log.keys():
-        return None
+def _motion(campaign: Campaign, model: OdometryModel, source: str, log: Mapping[str, FloatArray]) -> Motion:
     encoder = campaign.encoder
-    if steered:
+    if source in STEERED:
         front = model.steered(campaign.vehicle)
         counts = log[WHEEL_COLUMNS[source][0]]
         rolled = np.diff(counts, prepend=counts[:1]) * (2 * np.pi / counts_per_rev(encoder, source)[0])

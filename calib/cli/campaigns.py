@@ -219,7 +219,8 @@ def simulate(
     truth: FleetTruth | PosedTruth
     with terminal.waiting("driving"):
         if poses:
-            truth = make_posed_fleet(into, default_rng(seed), vehicles, runs, odd, in_hall)
+            size = FleetSize(vehicles, runs, n_outliers=odd, n_common=in_hall)
+            truth = make_posed_fleet(into, default_rng(seed), size)
         else:
             size = FleetSize(vehicles, runs, months, odd, slow, in_hall)
             truth = make_fleet(into, default_rng(seed), size)

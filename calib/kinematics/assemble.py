@@ -127,10 +127,6 @@ def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
     return tuple(map(Estimate.of, names, *columns)), uncertainty.covariance[np.ix_(kept, kept)]
 
 
-def _gyro_alone(fitted: Fitted) -> bool:
-    return bool(fitted.model.segments.gyro.any()) and GYRO_SCALE in fitted.undetermined
-
-
 def _whole(model: Model) -> Model:
     known = np.isfinite(model.recording.end_pose[:, :2]).all(axis=1)
     if known.sum() >= ENOUGH_RUNS or model.segments.are_runs_of(model.recording):
@@ -167,7 +163,7 @@ def _notes(fitted: Fitted, whole: Model, kind: str) -> Iterator[str]:
         yield f"{min(held)} is held at its nominal value: a straight run of known length would determine the scale."
     if kind == "skid" and "track_m" in fitted.parameters.free_names:
         yield "The track_m of a skid-steered vehicle is its effective track: it holds for this floor and load."
-    if _gyro_alone(fitted):
+    if fitted.model.segments.gyro.any() and GYRO_SCALE in fitted.undetermined:
         yield (
             f"Turns rest on the gyro: its scale is not determined, and its {100 * GYRO_SCALE_STD:g} % are in the "
             "interval of the track. A closed loop, or a turn of known angle, tells the two apart."

@@ -23,10 +23,9 @@ from calib.errors import CalibError
 from calib.kinematics import drives
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
-from calib.kinematics.drives import Drive, Parameters, nominal_turn
 from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.kinematics.model import Model, Segments, measured_between
-from calib.kinematics.readings import Change, Reading, implausible, readings, unchanged
+from calib.kinematics.readings import Change, Reading, Setting, implausible, readings, unchanged
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import whitened
@@ -91,11 +90,7 @@ def find_blunder(
     some = np.argsort(travel_rad)[np.linspace(0, len(recording) - 1, SCREENED_RUNS).astype(int)]
 
     def tried(
-        change: Change,
-        setting: Callable[[Campaign], Campaign] | None = None,
-        sensor: tuple[str, ...] = PLACE,
-        *,
-        of_some: bool = False,
+        change: Change, setting: Setting | None = None, sensor: tuple[str, ...] = PLACE, *, of_some: bool = False
     ) -> Trial:
         stated = setting(campaign) if setting else campaign
         driven = drive_of(stated, source, recording) if setting else drive
@@ -128,7 +123,7 @@ def find_blunder(
 
 
 def _tried(
-    campaign: Campaign, recording: Recording, drive: Drive, divide: Divide, sensor: tuple[str, ...] = PLACE
+    campaign: Campaign, recording: Recording, drive: drives.Drive, divide: Divide, sensor: tuple[str, ...] = PLACE
 ) -> Trial:
     items = drives.parameters_of(drive, campaign.reference)
     scales = drives.first_scales(campaign.reference)
@@ -137,7 +132,7 @@ def _tried(
         model = Model(drive, recording, divide(campaign, recording))
         # a lever arm would be a share of each window's short way; whole runs do not tell it from other readings
         placed = () if model.segments.are_runs_of(recording) else sensor
-        parameters = Parameters.of(items, [*(item.name for item in drive.parameters), *placed])
+        parameters = drives.Parameters.of(items, [*(item.name for item in drive.parameters), *placed])
         with np.errstate(all="ignore"):
             solution = solve(model, parameters, parameters.nominal, scales, *rounds)
             values, residuals = solution.values, solution.prediction.residuals
@@ -308,8 +303,8 @@ def _clock(rate: float) -> Fault:
     return Fault("clock_rate", f"{text}counts'; stamp both by one clock or divide its times by {1.0 + rate:.5g}")
 
 
-def _without_slip(recording: Recording, slip_s_per_rad: float, drive: Drive) -> Recording:
-    yaw_radps = np.abs(smoothed_speed_mps(np.cumsum(nominal_turn(drive, recording.steps)), recording.t_s))
+def _without_slip(recording: Recording, slip_s_per_rad: float, drive: drives.Drive) -> Recording:
+    yaw_radps = np.abs(smoothed_speed_mps(np.cumsum(drives.nominal_turn(drive, recording.steps)), recording.t_s))
     return recording.with_turned(recording.steps.turned_rad / (1.0 + slip_s_per_rad * yaw_radps))
 
 

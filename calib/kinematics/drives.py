@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from itertools import compress
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -156,18 +156,7 @@ class Motion:
     by_parameter: FloatArray
 
 
-class Drive(Protocol):
-    """What the estimate asks of a drive."""
-
-    @property
-    def parameters(self) -> tuple[Parameter, ...]:
-        """Parameters of the drive with their nominal values."""
-
-    def motion(self, values: FloatArray, steps: Steps) -> Motion:
-        """Return the motion of the body at parameter `values`, shape (n_parameters,)."""
-
-
-def lengths_of(drive: "Differential | FrontWheel | Mecanum | RearShaft") -> tuple[Parameter, ...]:
+def lengths_of(drive: "Drive") -> tuple[Parameter, ...]:
     """Return a parameter for each length of a drive, a field in ``_m``, within `LENGTH_STD`."""
     lengths = {part.name: getattr(drive, part.name) for part in fields(drive) if part.name.endswith("_m")}
     return tuple(Parameter(name, nominal, LENGTH_STD * nominal) for name, nominal in lengths.items())
@@ -198,10 +187,8 @@ class Differential:
 
     def motion(self, values: FloatArray, steps: Steps) -> Motion:
         """Return the motion of the axle's middle (Eqs 8 and 9)."""
-        phi, track, loads = steps.turned_rad, values[2], steps.load_offset_N
-        if self.slopes and loads is None:
-            raise ValueError("slopes need the wheel loads of every step")
-        radius = values[:2, None] + (0.0 if loads is None or not self.slopes else values[3:, None] * loads)
+        phi, track, loads = steps.turned_rad, values[2], steps.load_offset_N if self.slopes else None
+        radius = values[:2, None] + (0.0 if loads is None else values[3:, None] * loads)
         left, right = radius * phi
         turn = (right - left) / track
         # distance and turn by the travel of the left and of the right wheel
@@ -209,7 +196,7 @@ class Differential:
         derivative = np.zeros((len(values), 3, len(turn)))
         derivative[:2] = by_travel * phi[:, None]
         derivative[2, 2] = -turn / track
-        if self.slopes and loads is not None:
+        if loads is not None:
             derivative[3:] = by_travel * (phi * loads)[:, None]
         return Motion(np.stack([0.5 * (left + right), np.zeros_like(turn), turn]), derivative)
 
@@ -322,6 +309,9 @@ def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps) -> RearShaft:
     moving = lateral_mps2[np.abs(steps.turned_rad[0]) > 0.0]
     return RearShaft(radius_m, wheelbase_m, len(moving) > 0 and float(np.quantile(moving, OFTEN)) > SLIPS_MPS2)
 
+
+#: has its parameters with their nominal values, and the motion of the body at values of these, shape (n_parameters,)
+Drive = Differential | FrontWheel | Mecanum | RearShaft
 
 #: half turn below which the derivative of sin(h)/h is its series
 SMALL_RAD: Final = 1e-4

@@ -6,16 +6,7 @@ from typing import Final
 import numpy as np
 
 from calib.errors import RefusedError
-from calib.kinematics.drives import (
-    SENSOR,
-    Drive,
-    Motion,
-    Path,
-    displacement,
-    integrate_motion,
-    moved_between,
-    nominal_values,
-)
+from calib.kinematics import drives
 from calib.kinematics.recording import Recording, parts_seen
 from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
@@ -149,7 +140,7 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
 def measured_between(reference: FloatArray, first: IntArray, last: IntArray, around: IntArray | None) -> FloatArray:
     """Return displacements by the reference, shape (n, 3), in the frames of the headings or chords at their start."""
     pose = np.nan_to_num(reference)
-    moved = moved_between(pose, first, last)
+    moved = drives.moved_between(pose, first, last)
     if around is None:
         return moved
     chord = np.diff(pose[0, around] + 1j * pose[1, around])[:, 0]
@@ -173,7 +164,7 @@ class Prediction:
     residuals: FloatArray
     #: derivatives of the prediction by drive parameters, sensor pose and delay, shape (n, 3, n_parameters)
     jacobian: FloatArray
-    path: Path
+    path: drives.Path
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,25 +174,25 @@ class Model:
     Parameters are those of the drive, then those of `SENSOR`.
     """
 
-    drive: Drive
+    drive: drives.Drive
     recording: Recording
     segments: Segments
 
-    def motion(self, values: FloatArray) -> Motion:
+    def motion(self, values: FloatArray) -> drives.Motion:
         """Return the motion of the body in each step at `values`, shape (n_parameters,)."""
-        return self.drive.motion(values[: -len(SENSOR)], self.recording.steps)
+        return self.drive.motion(values[: -len(drives.SENSOR)], self.recording.steps)
 
-    def predict(self, values: FloatArray, path: Path | None = None) -> Prediction:
+    def predict(self, values: FloatArray, path: drives.Path | None = None) -> Prediction:
         """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known."""
-        path = path or integrate_motion(self.motion(values))
+        path = path or drives.integrate_motion(self.motion(values))
         n_drive = len(path.by_parameter)
         pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.segments, float(values[-1]))
-        moved = (displacement(pose, by_parameter, first, other) for other in others)
+        moved = (drives.displacement(pose, by_parameter, first, other) for other in others)
         seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
         by_gyro = np.zeros((len(seen), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
         jacobian = np.concatenate([through[:, :, :n_drive], by_gyro, by_sensor, through[:, :, n_drive:]], axis=2)
-        scale = np.where(self.segments.gyro, values[-len(SENSOR)], 1.0)
+        scale = np.where(self.segments.gyro, values[-len(drives.SENSOR)], 1.0)
         jacobian[:, 2, np.arange(jacobian.shape[2]) != n_drive] *= scale[:, None]
         seen[:, 2] *= scale
         residuals = self.segments.measured - seen
@@ -213,12 +204,12 @@ class Model:
     def residuals(self, values: FloatArray) -> FloatArray:
         """Return residuals alone."""
         motion = self.motion(values)
-        path = integrate_motion(replace(motion, by_parameter=motion.by_parameter[:0]))
+        path = drives.integrate_motion(replace(motion, by_parameter=motion.by_parameter[:0]))
         return self.predict(values, path).residuals
 
 
 def _at_times(
-    path: Path, recording: Recording, segments: Segments, delay_s: float
+    path: drives.Path, recording: Recording, segments: Segments, delay_s: float
 ) -> tuple[FloatArray, FloatArray, list[IntArray]]:
     """Return poses `delay_s` before both ends and chords, their derivatives, and the samples' new numbers.
 
@@ -302,7 +293,7 @@ def replicates(whole: Model, way_m: FloatArray, load_width_N: float | None = Non
 
     With `load_width_N` in speed and, to so much, in load, too.
     """
-    told = whole.segments.measured - whole.residuals(nominal_values(whole.drive))
+    told = whole.segments.measured - whole.residuals(drives.nominal_values(whole.drive))
     steps, lapse_s = whole.recording.steps, np.maximum(np.diff(whole.recording.t_s, prepend=0.0), 1e-3)
     rolled = np.abs(steps.turned_rad).mean(axis=0)
     total = np.maximum(whole.segments.between(rolled), 1e-9)

@@ -46,6 +46,7 @@ ALIKE: Final = 0.1
 GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
 
 Change = Callable[[Recording], Recording]
+Setting = Callable[[Campaign], Campaign]
 OfArray = Callable[[FloatArray], FloatArray]
 
 
@@ -59,7 +60,7 @@ class Reading:
     zeroed: Change | None = None
     #: the same for a factor of which a fit tells the rest: of the radii, or of the steering angle
     refined: "Callable[[tuple[float, float]], Reading] | None" = None
-    setting: Callable[[Campaign], Campaign] | None = None
+    setting: Setting | None = None
 
 
 def readings(

@@ -8,19 +8,7 @@ import numpy as np
 from calib.errors import BadInputError
 from calib.plant import wheels
 from calib.plant.design import Design, conditions
-from calib.plant.world import (
-    Act,
-    Form,
-    Knobs,
-    Moment,
-    World,
-    added,
-    drawn,
-    either_side,
-    scaled,
-    standardised,
-    while_driving,
-)
+from calib.plant.world import Act, Form, Knobs, Moment, World, added, drawn, either_side, scaled, while_driving
 from calib.types import BoolArray, FloatArray
 
 
@@ -75,10 +63,6 @@ def _weave_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
     return {**shares, "wavelength_m": design.length_m / float(rng.integers(3, 6))}
 
 
-def _load_by_temperature(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    world.enlarge(size * (standardised(world.mean_load_N) * standardised(world.design.temperature_C)))
-
-
 @while_driving
 def _one_speed(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
     # a resonance
@@ -125,7 +109,7 @@ FLOOR = (
 )
 
 OUTSIDE = (
-    Form("outside:load_by_temperature", "plain", 8e-4, "1", _load_by_temperature, "loads temperatures"),
+    Form("outside:load_by_temperature", "plain", 8e-4, "1", wheels.load_by_temperature, "loads temperatures"),
     Form("outside:one_speed", "plain", 1.5e-3, "1", _one_speed, "three_speeds", _middle_speed),
     Form("outside:left_only", "plain", 1e-2, "1", _left_only, "turns bends poses"),
     Form("outside:hidden", "plain", 6e-4, "1", _hidden, "poses", _seeded),
@@ -148,6 +132,10 @@ def _lost(share: Callable[[FloatArray], FloatArray | float]) -> Act:
         now.added[4 if knobs["right"] else 3] += size * share(now.v_mps)
 
     return act
+
+
+def _beyond_threshold(v_mps: FloatArray) -> FloatArray:
+    return np.asarray(np.maximum(v_mps - 0.3, 0.0) / 0.2)
 
 
 def _blunder(kind: str) -> Act:
@@ -190,15 +178,7 @@ INSTRUMENTS = (
     Form("reference_yaw", "plain", 4e-3, "rad", added("ref_yaw_rad"), "poses turns"),
     Form("reference_latency", "plain", 0.05, "s", added("latency_s"), "flying speeds poses"),
     Form("lost_counts", "squared", 1e-3, "1", _lost(lambda v: (v / 0.5) ** 2), "speeds poses", either_side),
-    Form(
-        "lost_counts",
-        "threshold",
-        1e-3,
-        "1",
-        _lost(lambda v: np.maximum(v - 0.3, 0.0) / 0.2),
-        "speeds poses",
-        either_side,
-    ),
+    Form("lost_counts", "threshold", 1e-3, "1", _lost(_beyond_threshold), "speeds poses", either_side),
     # exactly a larger radius of that wheel
     Form("lost_counts", "constant", 2e-3, "1", _lost(lambda _v: 1.0), "poses", either_side),
     *(

@@ -16,7 +16,7 @@ from calib.io import write_bytes
 from calib.plant.design import REFERENCE_LOAD_N, Design, good_design
 from calib.plant.drive import Record, drive, reference_poses, simulated_poses, steering_readings, with_blunder
 from calib.plant.effects import find
-from calib.plant.world import Cause, Noise, NoiseDraw, World, build_world, draw_noise, random_noise, wheel_loads
+from calib.plant.world import Cause, Causes, Noise, NoiseDraw, World, build_world, draw_noise, random_noise, wheel_loads
 from calib.types import FloatArray, IntArray
 
 
@@ -113,7 +113,7 @@ def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
     )
 
 
-def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng: np.random.Generator) -> list[Cause]:
+def as_causes(truth: Mapping[str, float] | Causes, design: Design, rng: np.random.Generator) -> list[Cause]:
     """Return causes with all their knobs drawn; for `truth` see `make_campaign`."""
     if not isinstance(truth, Mapping):
         return list(truth)
@@ -125,7 +125,7 @@ def as_causes(truth: Mapping[str, float] | Sequence[Cause], design: Design, rng:
     return causes
 
 
-def apply_causes(world: World, causes: Sequence[Cause], blocks: FloatArray | None = None) -> World:
+def apply_causes(world: World, causes: Causes, blocks: FloatArray | None = None) -> World:
     """Let causes change a world in place, and return it.
 
     `blocks` (n_causes, n_runs): share of each cause's size that acts on each run.
@@ -139,7 +139,7 @@ def apply_causes(world: World, causes: Sequence[Cause], blocks: FloatArray | Non
 
 def make_campaign(
     design: Design,
-    truth: Mapping[str, float] | Sequence[Cause],
+    truth: Mapping[str, float] | Causes,
     rng: np.random.Generator,
     *,
     noise: Noise | None = None,
@@ -156,7 +156,7 @@ def make_campaign(
 
 def make_campaigns(
     design: Design,
-    truth: Mapping[str, float] | Sequence[Cause],
+    truth: Mapping[str, float] | Causes,
     rng: np.random.Generator,
     *,
     noise: Noise | None = None,
@@ -346,18 +346,15 @@ class PosedTruth:
     zone_long_m: float = 2.0
 
 
-def make_posed_fleet(
-    folder: Path, rng: np.random.Generator, n_vehicles: int, n_runs: int, n_outliers: int, n_common: int
-) -> PosedTruth:
-    """Write a fleet of one type, a campaign folder a vehicle; see `PosedTruth`."""
-    refuse_more("runs of all vehicles", n_vehicles * n_runs, FLEET_RUNS, "simulate a smaller fleet")
-    design = good_design(rng, n_runs=n_runs, needs={"corridor", "directions", "turns"})
+def make_posed_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> PosedTruth:
+    """Write a fleet of one type, a campaign folder a vehicle, none of them drifting; see `PosedTruth`."""
+    design = good_design(rng, n_runs=size.n_runs, needs={"corridor", "directions", "turns"})
     model = random_model(design, rng)
-    names = [f"v{number:05d}" for number in range(n_vehicles)]
-    odd = rng.permutation(n_vehicles)[:n_outliers]
-    in_hall = np.sort(rng.permutation(n_vehicles)[:n_common])
-    relative = rng.normal(0.0, 5e-4, n_vehicles)
-    relative[odd] += rng.choice((-1e-2, 1e-2), n_outliers)
+    names = [f"v{number:05d}" for number in range(size.n_vehicles)]
+    odd = rng.permutation(size.n_vehicles)[: size.n_outliers]
+    in_hall = np.sort(rng.permutation(size.n_vehicles)[: size.n_common])
+    relative = rng.normal(0.0, 5e-4, size.n_vehicles)
+    relative[odd] += rng.choice((-1e-2, 1e-2), size.n_outliers)
     track_m = dict(zip(names, (model.track_m * (1.0 + relative)).tolist(), strict=True))
     outliers, common = (tuple(sorted(names[number] for number in some)) for some in (odd, in_hall))
     truth = PosedTruth(track_m, model.track_m, 5e-4 * model.track_m, outliers, common)

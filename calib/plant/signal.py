@@ -14,7 +14,7 @@ from calib.plant.design import Design
 from calib.plant.drive import Record, drive, reference_poses, simulated_poses, steering_readings
 from calib.plant.effects import ALL, find
 from calib.plant.make import apply_causes
-from calib.plant.world import Cause, Noise, NoiseDraw, World, build_world, quiet
+from calib.plant.world import Cause, Causes, Noise, NoiseDraw, World, build_world, quiet
 from calib.types import FloatArray, floats, grouped
 
 #: effects that a recalibration absorbs: their signal is without one
@@ -94,13 +94,12 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
     n_runs = len(end_x)
     zero, one = np.zeros(n_runs), np.ones(n_runs)
     start = np.stack([zero, -end_y, end_x, one, zero, zero], axis=1) * noise.start_heading_rad
-    total += start[:, :, None] * start[:, None, :]
     # a steering zero: less forward by L theta, more heading by S / L
     wheelbase = world.design.vehicle.wheelbase_m
     steer = np.stack([zero, zero, zero, zero, -wheelbase * end_theta, length / wheelbase], axis=1) * noise.steer_rad
     spacing = world.design.speed_mps * (world.design.log_period_s or 0.1)
     front = np.stack([zero, zero, zero, zero, length, end_theta], axis=1) * noise.front
-    for run in (steer, front):
+    for run in (start, steer, front):
         total += run[:, :, None] * run[:, None, :]
     instruments = (one * sigma**2 for sigma in (noise.laser_m, noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad))
     # counters come in whole steps
@@ -154,13 +153,7 @@ class Strength:
 
 
 def strengths(
-    design: Design,
-    model: OdometryModel,
-    noise: Noise,
-    causes: Sequence[Cause],
-    *,
-    step_s: float = 0.02,
-    weigh: bool = True,
+    design: Design, model: OdometryModel, noise: Noise, causes: Causes, *, step_s: float = 0.02, weigh: bool = True
 ) -> Strength:
     """Drive without noise, without any cause and with each; see `Strength`; `weigh`: fill `alone` and `beside`."""
     n_runs, n_causes = len(design), len(causes)
@@ -198,7 +191,7 @@ def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> 
 
 
 def to_signal(
-    design: Design, model: OdometryModel, noise: Noise, causes: Sequence[Cause], targets: Sequence[float]
+    design: Design, model: OdometryModel, noise: Noise, causes: Causes, targets: Sequence[float]
 ) -> tuple[list[Cause], Noise, Strength]:
     """Scale causes to wanted signals, each alone (NaN: as it is), the noise first; see `Strength`."""
     wanted = floats(targets)

@@ -100,6 +100,11 @@ def _warm_stiffness(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.enlarge(*(size * warm * (1 + 0.15 * (load / mean - 1)) for load in loads))
 
 
+def load_by_temperature(world: World, size: FloatArray, _knobs: Knobs) -> None:
+    """Enlarge the radii by load and temperature together, as no library has it."""
+    world.enlarge(size * (standardised(world.mean_load_N) * standardised(world.design.temperature_C)))
+
+
 def _session_index(design: Design) -> tuple[FloatArray, int]:
     names, first, index = np.unique(design.session, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[index].astype(np.float64), len(names)

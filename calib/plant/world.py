@@ -1,6 +1,6 @@
 """The true world of a campaign, run by run, its noise, and the forms of effects."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
@@ -340,3 +340,6 @@ class Cause:
     size: float
     form: str = "plain"
     knobs: Knobs = field(default_factory=dict)  #: what else was drawn
+
+
+Causes = Sequence[Cause]

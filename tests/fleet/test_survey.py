@@ -18,7 +18,7 @@ from calib.fleet.comparison import VehicleResult, shared_causes
 from calib.fleet.run import Survey, survey_fleet
 from calib.fleet.store import Member
 from calib.kinematics.estimate import estimate_geometry
-from calib.plant.make import make_posed_fleet
+from calib.plant.make import FleetSize, make_posed_fleet
 from calib.reporting.formatting import to_text
 from calib.reporting.pages import write_fleet
 from calib.reporting.topics.fleet import fleet_content
@@ -111,7 +111,7 @@ def test_the_geometry_of_a_vehicle_is_that_of_its_campaign(fleet: Path, tmp_path
 
 def test_a_fleet_with_poses_shows_its_odd_track(tmp_path: Path) -> None:
     """Three vehicles of the independent plant: every interval of the track holds the truth but one at most."""
-    truth = make_posed_fleet(tmp_path / "fleet", np.random.default_rng(3), 3, 12, n_outliers=1, n_common=0)
+    truth = make_posed_fleet(tmp_path / "fleet", np.random.default_rng(3), FleetSize(3, 12, n_outliers=1, n_common=0))
     survey = survey_fleet(tmp_path / "fleet", tmp_path / "out", "geometry")
     tracks = {record.name: record.values["estimates"]["track_m"] for record in survey.records}
     held = [tracks[name]["ci95"][0] <= track <= tracks[name]["ci95"][1] for name, track in truth.track_m.items()]

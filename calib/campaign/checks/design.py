@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
-from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, on_one_axle
+from calib.campaign.wheels import logged_columns, odometry_source, on_one_axle
 from calib.types import FloatArray, IntArray, StrArray
 
 SIDES: Final = ("left", "right")
@@ -77,8 +77,7 @@ def on_axle(campaign: Campaign) -> Campaign:
 
 def wheel_columns(campaign: Campaign) -> str:
     """Return the columns that the turns of the odometry come from."""
-    source = odometry_source(campaign)
-    return ", ".join((*WHEEL_COLUMNS[source], *(("steer_rad",) if source in STEERED else ())))
+    return ", ".join(logged_columns(odometry_source(campaign)))
 
 
 def rolled_m(campaign: Campaign, side: str, counts: FloatArray | None = None) -> FloatArray:

@@ -7,22 +7,12 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.checks import design
-from calib.campaign.checks.design import (
-    LEAST_OF_A_LINE,
-    LEAST_RUNS,
-    SIDES,
-    both_sides,
-    cell_note,
-    column_note,
-    implausible_column,
-    off_line,
-    slopes_of,
-)
+from calib.campaign.checks.design import LEAST_RUNS, implausible_column
 from calib.campaign.checks.settings import MOST_ODD
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
 from calib.campaign.settings import WHEEL_LOADS
-from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, odometry_source, without_rear_wheels
+from calib.campaign.wheels import logged_columns, odometry_source, without_rear_wheels
 from calib.types import GRAVITY_MPS2, BoolArray, FloatArray
 from calib.vehicle import Vehicle
 
@@ -33,20 +23,20 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
     source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
     needs_logs = source != "rear" or "ref_x_m" in campaign.logs.columns
     logged = [campaign.logs.of(run) if needs_logs else {} for run in range(len(runs))]
-    for name in (*WHEEL_COLUMNS[source], *(("steer_rad",) if source in STEERED else ())):
+    for name in logged_columns(source):
         lacking = np.isnan(runs.number(name)) if source == "rear" else np.asarray([name not in log for log in logged])
         if lacking.any():
             what = "counts in table or log" if source == "rear" else f"{name} in their log"
             runs_lacking = design.listed(runs.run_id[lacking])
             text = f"{int(lacking.sum())} run(s) have no {what} ({runs_lacking}); they cannot be used"
-            yield column_note(name, text, "missing_counts", of="runs" if source == "rear" else "logs")
+            yield design.column_note(name, text, "missing_counts", of="runs" if source == "rear" else "logs")
     trajectory = np.asarray(["ref_x_m" in log for log in logged])
     unmeasured = [np.isnan(runs.number(name)) for name in ("distance_m", "ref_x_m", "ref_theta_rad", GYRO_TURN)]
     if len(lacking := runs.run_id[np.all(unmeasured, axis=0) & ~trajectory]):
         text = f"""{len(lacking)} run(s) have neither a distance nor a reference pose
             ({design.listed(lacking)}); nothing can be learnt from them. A reference on another clock needs lag_s in the
             mapping"""
-        yield column_note("distance_m", text, "missing_distance")
+        yield design.column_note("distance_m", text, "missing_distance")
 
 
 def distance_span(campaign: Campaign) -> Iterator[Note]:
@@ -56,28 +46,26 @@ def distance_span(campaign: Campaign) -> Iterator[Note]:
     ratio = design.raw_radius_ratio(campaign, "left")
     for run in np.flatnonzero(distance <= 0):
         text = f"found {distance[run]:g} m; expected a positive distance; correct it or flag the run as excluded"
-        yield cell_note(campaign, run, "distance_m", text, "distance_span", "wrong")
+        yield design.cell_note(campaign, run, "distance_m", text, "distance_span", "wrong")
     for run in np.flatnonzero((distance > 0) & ((distance < low) | (distance > high))):
         hint = "name the column distance_mm" if high < distance[run] <= 1e3 * high < 1e6 else ""
         hint = design.meaning(ratio[run]) or hint or "check the cell, or give rangefinder.min_m and max_m"
         text = f"found {distance[run]:g} m; the rangefinder measures {low:g} to {high:g} m; {hint}"
-        yield cell_note(campaign, run, "distance_m", text, "distance_span")
+        yield design.cell_note(campaign, run, "distance_m", text, "distance_span")
 
 
 def distance_against_log(campaign: Campaign) -> Iterator[Note]:
     """Compare the table's distance with the last range of the log."""
     distance = campaign.runs.number("distance_m")
     allowed = max(0.02, 8 * campaign.rangefinder.sigma_m)
-    for run, log in campaign.logs.each() if "range_m" in campaign.logs.columns else ():
-        known = log.get("range_m", np.zeros(0))
-        if not len(known := known[np.isfinite(known)]):
-            continue
+    for run, log in campaign.logs.each(2, "range_m"):
+        known = log["range_m"][np.isfinite(log["range_m"])]
         if len(outside := known[(known < -0.5) | (known > campaign.rangefinder.max_m)]):
             text = f"{len(outside)} sample(s) lie outside the rangefinder's span, the first at {outside[0]:g} m"
-            yield cell_note(campaign, run, "log range_m", text, "distance_span")
+            yield design.cell_note(campaign, run, "log range_m", text, "distance_span")
         if min(abs(distance[run] - known[-1]), abs(distance[run] - (known[-1] - known[0]))) > allowed:
             text = f"found {distance[run]:.4f} m; the log ends at {known[-1]:.4f} m; the log may be cut"
-            yield cell_note(campaign, run, "distance_m", text, "distance_disagrees")
+            yield design.cell_note(campaign, run, "distance_m", text, "distance_disagrees")
 
 
 #: a measured radius, track or load is within this factor of its nominal value
@@ -106,8 +94,8 @@ def odd_sessions(campaign: Campaign, ratio: FloatArray) -> Iterator[tuple[str, f
 def implausible_distances(campaign: Campaign) -> Iterator[Note]:
     """Yield radii that no wheel has, and distances that do not fit their counts."""
     distance = campaign.runs.number("distance_m")
-    counts = dict(zip(SIDES, both_sides(campaign, "counts_{}"), strict=True))
-    for side, other in (SIDES, SIDES[::-1]):
+    counts = dict(zip(design.SIDES, design.both_sides(campaign, "counts_{}"), strict=True))
+    for side, other in (design.SIDES, design.SIDES[::-1]):
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.abs(distance / design.rolled_m(campaign, side))
         good = np.isfinite(ratio) & (ratio > 0)
@@ -137,12 +125,12 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
 
 
 def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: str, load: FloatArray) -> Iterator[Note]:
-    spread = design.robust_spread(off_line(load, radius))
+    spread = design.robust_spread(design.off_line(load, radius))
     if len(radius) < 3 or spread < 0.01:
         return
     for shift in (1, -1):
         moved = (np.roll(distance, shift) - distance)[good] + radius
-        again = design.robust_spread(off_line(load, moved)[1:-1])
+        again = design.robust_spread(design.off_line(load, moved)[1:-1])
         if again < 0.2 * spread and np.isfinite(moved[1:-1]).sum() > 2:
             text = f"""the {side} wheel's radius scatters by {100 * spread:.2g} %, but by {100 * again:.2g} % with each
                 distance one row on; expected distance and counts of the same run in a row; is the column shifted?"""
@@ -159,7 +147,7 @@ _LOADS: Final = ", ".join(WHEEL_LOADS)
 
 def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     """Find loads that no rolling wheel has, or beyond the permitted one."""
-    loads, permitted = both_sides(campaign, "load_{}_N"), campaign.vehicle.max_wheel_load_N
+    loads, permitted = design.both_sides(campaign, "load_{}_N"), campaign.vehicle.max_wheel_load_N
     if permitted == Vehicle().max_wheel_load_N and not design.stated(campaign, "vehicle.mass_kg"):
         # of a vehicle that nobody described
         if (most := float(np.nanmax(loads, initial=0.0))) > permitted:
@@ -169,14 +157,14 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     for name, load in zip(WHEEL_LOADS, loads, strict=True):
         for run in np.flatnonzero(load <= 0):
             text = f"found {load[run]:.4g} N; expected more than 0, or the wheel lifts off; check payload and place"
-            yield cell_note(campaign, run, name, text, "impossible_load", "wrong")
+            yield design.cell_note(campaign, run, name, text, "impossible_load", "wrong")
         for run in np.flatnonzero(load > permitted):
             text = f"found {load[run]:.5g} N; {permitted:g} N is permitted; check the unit (kg or kN in a column of N?)"
-            yield cell_note(campaign, run, name, text, "excess_load")
+            yield design.cell_note(campaign, run, name, text, "excess_load")
     if len(lacking := campaign.runs.run_id[np.isnan(loads.sum(axis=0))]):
         text = f"""{len(lacking)} run(s) have no wheel load and no payload with its place to compute it from
             ({design.listed(lacking)})"""
-        yield column_note(_LOADS, text, "missing_load")
+        yield design.column_note(_LOADS, text, "missing_load")
 
 
 #: so many spreads off that line are no scatter of the payload's place
@@ -198,7 +186,7 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     runs = campaign.runs
     if "payload_kg" not in runs.numbers:
         return
-    weighed = both_sides(campaign, "load_{}_N")
+    weighed = design.both_sides(campaign, "load_{}_N")
     if not design.stated(campaign, "vehicle.mass_kg"):
         yield from _unit_by_payload(runs.number("payload_kg"), weighed.sum(axis=0))
     computed = np.stack(loads_from_payload(campaign.vehicle, runs))
@@ -210,20 +198,20 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     whole |= len(more) >= _TO_ONE_SIDE and more.mean() in {0.0, 1.0}
     of = off if whole else known & (computed > 0.0).all(axis=0)
     ratios = (weighed / computed)[:, of]
-    alike = design.stated(campaign, "vehicle.mass_kg") and not off.any() and of.sum() >= LEAST_OF_A_LINE
+    alike = design.stated(campaign, "vehicle.mass_kg") and not off.any() and of.sum() >= design.LEAST_OF_A_LINE
     spreads = (_LOAD_SPREADS * design.robust_spread(ratio) for ratio in ratios)
     if whole or (alike and (np.abs(np.median(ratios, axis=1) - 1.0) > np.maximum(_STATICS, [*spreads])).any()):
         hint, code = _SWAPPED if swapped.sum() > design.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
         left, right = np.median(ratios, axis=1)
         text = f"""in {ratios.shape[1]} runs ({design.listed(runs.run_id[of])}) left and right loads are {left:.4g} and
             {right:.4g} times those of vehicle and payload; {hint}"""
-        yield column_note(f"{_LOADS}, payload_kg", text, code, "suspicious" if whole else "info")
+        yield design.column_note(f"{_LOADS}, payload_kg", text, code, "suspicious" if whole else "info")
         return
     for run in np.flatnonzero(off):
         hint, code = _SWAPPED if swapped[run] else _CONTRADICTED
         text = f"""found {weighed[0, run]:.0f} and {weighed[1, run]:.0f} N; vehicle and payload ask for
             {computed[0, run]:.0f} and {computed[1, run]:.0f} N; {hint}"""
-        yield cell_note(campaign, run, _LOADS, text, code)
+        yield design.cell_note(campaign, run, _LOADS, text, code)
     yield from _off_the_line(campaign, np.where(np.isfinite(computed.sum(axis=0)), np.nan, weighed.sum(axis=0)))
 
 
@@ -237,19 +225,19 @@ def _unit_of_shares(shares: FloatArray) -> str:
 
 def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
     known = np.isfinite(payload + total)
-    slopes = slopes_of(payload[known], total[known])
+    slopes = design.slopes_of(payload[known], total[known])
     if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
         text = f"""each kg of payload adds {np.median(slopes):.3g} N to both wheels in sum; expected
             {_REAR_SHARE[0] * GRAVITY_MPS2:.2g} to {GRAVITY_MPS2:g} N; are they in {unit}?"""
-        yield column_note(f"{_LOADS}, payload_kg", text, "load_unit")
+        yield design.column_note(f"{_LOADS}, payload_kg", text, "load_unit")
 
 
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     payload = campaign.runs.number("payload_kg")
     runs = np.flatnonzero(np.isfinite(total + payload))
-    if len(runs) < LEAST_OF_A_LINE:
+    if len(runs) < design.LEAST_OF_A_LINE:
         return
-    away = off_line(payload[runs], total[runs])
+    away = design.off_line(payload[runs], total[runs])
     expected = total.copy()
     expected[runs] -= away
     far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * design.robust_spread(away))
@@ -259,12 +247,12 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
         if kept.min() <= payload[run] <= kept.max():
             text = f"""found {total[run]:.0f} N on both wheels with {payload[run]:g} kg; the other runs ask for
                 {expected[run]:.0f} N; check payload_kg and the weighing: it may be the load of another run"""
-            yield cell_note(campaign, int(run), f"{_LOADS}, payload_kg", text, "contradicted_load")
+            yield design.cell_note(campaign, int(run), f"{_LOADS}, payload_kg", text, "contradicted_load")
 
 
 def reference_load(campaign: Campaign) -> Iterator[Note]:
     """Find a reference load that is none of those driven or usual."""
-    loads, found = both_sides(campaign, "load_{}_N"), campaign.model.reference_load_N
+    loads, found = design.both_sides(campaign, "load_{}_N"), campaign.model.reference_load_N
     loads = loads[np.isfinite(loads)]
     if not design.stated(campaign, "model.reference_load_N") or not len(loads):
         return
@@ -302,7 +290,7 @@ _LOAD_UNITS: Final = (
 def implausible_loads(campaign: Campaign) -> Iterator[Note]:
     """Yield loads below zero, in another unit, or not those of their payload."""
     runs, vehicle = campaign.runs, campaign.vehicle
-    weighed, computed = both_sides(campaign, "load_{}_N"), np.stack(loads_from_payload(vehicle, runs))
+    weighed, computed = design.both_sides(campaign, "load_{}_N"), np.stack(loads_from_payload(vehicle, runs))
     total, expected = weighed.sum(axis=0), computed.sum(axis=0)
     good = np.isfinite(total) & (total > 0)
     if not design.stated(campaign, "vehicle.mass_kg") or not good.any():
@@ -354,7 +342,7 @@ def _in_another_unit(columns: str, ratio: float, what: str, unit: str = "") -> N
 
 
 def _one_side(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
-    for side, load, expected in zip(SIDES, weighed, computed, strict=True):
+    for side, load, expected in zip(design.SIDES, weighed, computed, strict=True):
         good = (load > 0) & (expected > 0)
         ratio = float(np.median(load[good] / expected[good])) if good.sum() >= LEAST_RUNS else 1.0
         if not 0.1 <= ratio <= 10:

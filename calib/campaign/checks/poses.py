@@ -261,9 +261,7 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
     least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
     # from the axle's middle to the sensor, wherever on the vehicle, in tracks
     arm = 1.0 + (vehicle.wheelbase_m + math.hypot(sensor.sensor_x_m, sensor.sensor_y_m)) / vehicle.track_m
-    for run, log in campaign.logs.each(20):
-        if not log.keys() >= {"ref_x_m", "ref_y_m", "counts_left", "counts_right"}:
-            continue
+    for run, log in campaign.logs.each(20, "ref_x_m", "ref_y_m", "counts_left", "counts_right"):
         position = log["ref_x_m"] + 1j * log["ref_y_m"]
         known = np.flatnonzero(np.isfinite(position))
         left, right = (rolled_m(campaign, side, log[f"counts_{side}"][known]) for side in design.SIDES)
@@ -328,11 +326,10 @@ def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     if campaign.reference.frame != "map":
         return x, y
     end = np.full(len(x), complex(math.nan, math.nan))
-    for run, log in campaign.logs.each():
-        if log.keys() >= set(REFERENCE_POSE):
-            pose = np.array([log[name] for name in REFERENCE_POSE])
-            start_x, start_y, heading = pose[:, np.argmax(np.isfinite(pose).all(axis=0))]
-            end[run] = complex(x[run] - start_x, y[run] - start_y) * np.exp(-1j * heading)
+    for run, log in campaign.logs.each(2, *REFERENCE_POSE):
+        pose = np.array([log[name] for name in REFERENCE_POSE])
+        start_x, start_y, heading = pose[:, np.argmax(np.isfinite(pose).all(axis=0))]
+        end[run] = complex(x[run] - start_x, y[run] - start_y) * np.exp(-1j * heading)
     return end.real, end.imag
 
 
@@ -379,14 +376,14 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
 
 def _logged_headings(campaign: Campaign) -> Iterator[Note]:
     ratios = []
-    for _, log in campaign.logs.each():
-        if log.keys() >= {"ref_theta_rad", "counts_left", "counts_right"}:
-            known = np.isfinite(log["ref_theta_rad"])
-            left, right, heading = (log[name][known] for name in ("counts_left", "counts_right", "ref_theta_rad"))
-            turned = np.diff(design.turned_rad(campaign, left, right))
-            fast = np.abs(turned) > 0.5 * np.nanmax(np.abs(turned), initial=0.0)
-            if np.nansum(np.abs(turned)) >= 1.0:
-                ratios.append(float(np.nanmedian(np.diff(heading)[fast] / turned[fast])))
+    columns = ("counts_left", "counts_right", "ref_theta_rad")
+    for _, log in campaign.logs.each(2, *columns):
+        known = np.isfinite(log["ref_theta_rad"])
+        left, right, heading = (log[name][known] for name in columns)
+        turned = np.diff(design.turned_rad(campaign, left, right))
+        fast = np.abs(turned) > 0.5 * np.nanmax(np.abs(turned), initial=0.0)
+        if np.nansum(np.abs(turned)) >= 1.0:
+            ratios.append(float(np.nanmedian(np.diff(heading)[fast] / turned[fast])))
     if len(ratios) >= LEAST_RUNS and abs(abs(ratio := float(np.median(ratios))) * math.pi / 180 - 1) < 0.3:
         text = f"headings along the path turn {ratio:.3g} times as far as the counts; are they in degrees?"
         yield implausible_column("ref_theta_rad", text, of="logs")

@@ -1,27 +1,18 @@
 """Build a campaign folder of raw laboratory files."""
 
 import re
-from collections.abc import Mapping as MappingType
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
 from typing import Final
 
 import numpy as np
 
 from calib.campaign.ingest.contents import listed_files
-from calib.campaign.ingest.logs import MappedLog, read_mapped
-from calib.campaign.ingest.mapping import SHEET, Mapping, bad_line, read_mapping
-from calib.campaign.ingest.runs import (
-    files_of_runs,
-    files_of_sheets,
-    mapped_runs,
-    match_logs,
-    names_runs,
-    sheet_of,
-    with_lookups,
-)
-from calib.campaign.ingest.segmentation import Segment, end_values, from_start, segment_recordings
+from calib.campaign.ingest.logs import MappedLog
+from calib.campaign.ingest.mapping import SHEET, bad_line, read_mapping
+from calib.campaign.ingest.runs import files_of_runs, files_of_sheets, mapped_runs, match_logs, names_runs, with_lookups
+from calib.campaign.ingest.segmentation import Ingestion, Segment, end_values, segment_recordings
 from calib.campaign.logs import LogStack, detect_wrap_bits
 from calib.campaign.model import Border, Campaign, Note, RunTable, stacked
 from calib.campaign.readers import RawTable, holds_recording, read_table
@@ -48,7 +39,7 @@ class Ingested:
     folder: Path
     campaign: Campaign
     #: path as given -> SHA-256
-    sources: MappingType[str, str]
+    sources: Mapping[str, str]
     notes: tuple[Note, ...]
     cuts: tuple[Segment, ...] = ()
 
@@ -61,37 +52,6 @@ class Ingested:
     def n_logs(self) -> int:
         """Runs that have a log."""
         return int(self.campaign.logs.present.sum())
-
-
-@dataclass(slots=True)
-class _Ingestion:
-    mapping: Mapping
-    settings: Campaign
-    border: Border
-    progress: Progress
-    #: path -> SHA-256
-    hashes: dict[str, str] = field(default_factory=dict)
-    recordings: dict[str, MappedLog] = field(default_factory=dict)
-    segments: list[Segment] = field(default_factory=list)
-
-    def read_log(self, files: MappingType[str, Path]) -> MappedLog:
-        log = read_mapped(files, self.mapping, self.settings, self.border)
-        for path, _ in map(sheet_of, files.values()):
-            parts = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
-            self.hashes |= {str(part): sha256_file(part) for part in parts}
-        return log
-
-    def read_logs(self, logs_of_runs: MappingType[int, MappingType[str, Path]]) -> dict[int, MappedLog]:
-        """Read logs of one run each, in its start frame where the mapping says so."""
-        stated = [name for name, line in self.mapping.log.columns.items() if line.from_start is True]
-        distance = "range_m" in stated
-        poses = self.settings.reference.frame != "map" and any(name.startswith("ref_") for name in stated)
-        logs = {}
-        for index, files in stepped(list(logs_of_runs.items()), self.progress, "logs"):
-            log = self.read_log(files)
-            turned = from_start(log.columns, poses=poses, distance=distance)
-            logs[index] = replace(log, columns=turned, from_start=distance or poses)
-        return logs
 
 
 def ingest(
@@ -116,7 +76,7 @@ def ingest(
         refuse_existing([into / "campaign.toml"], force=force)
     read = read_mapping(mapping)
     settings = parse_settings(read.settings, read.shown, into.name or "campaign")
-    work = _Ingestion(read, settings, Border(lenient=False), progress)
+    work = Ingestion(read, settings, Border(lenient=False), progress)
     # a mapping is no campaign.toml: it names no format, and what it omits is written as assumed
     work.border.notes.extend(note for note in settings.notes if note.code not in {"format", "default_vehicle"})
     if mapping:
@@ -130,7 +90,7 @@ def ingest(
     return Ingested(into, campaign, work.hashes, tuple(work.border.notes), tuple(work.segments))
 
 
-def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
+def _campaign(paths: Sequence[Path], work: Ingestion) -> Campaign:
     first, table = paths[0], _run_table(paths[0], work)
     files = listed_files(paths if table is None else paths[1:])
     if table is None and work.mapping.table_file is not None:
@@ -159,9 +119,7 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
             raise BadInputError("sources: found no recording to cut; expected one beside the run table; name it")
         groups = [*files_of_runs(files, work.mapping.log).values()] or [{"": path} for path in files]
         read = {next(iter(one.values())): work.read_log(one) for one in stepped(groups, work.progress, "recordings")}
-        runs, logs, work.recordings, work.segments = segment_recordings(
-            runs, table, read, work.mapping, work.settings, work.border
-        )
+        runs, logs = segment_recordings(work, runs, table, read)
     else:
         runs, logs = _runs_with_logs(first, table, runs, files, work)
     _exchange_wheels(runs, logs, work)
@@ -179,7 +137,7 @@ def _campaign(paths: Sequence[Path], work: _Ingestion) -> Campaign:
 
 
 def _runs_with_logs(
-    first: Path, table: RawTable | None, runs: RunTable | None, files: Sequence[Path], work: _Ingestion
+    first: Path, table: RawTable | None, runs: RunTable | None, files: Sequence[Path], work: Ingestion
 ) -> tuple[RunTable, dict[int, MappedLog]]:
     shown = str(first)
     matched: dict[int, dict[str, Path]] | None = None
@@ -199,7 +157,7 @@ def _runs_with_logs(
     return _without_logs(runs, missing, shown, work.border), logs
 
 
-def _with_reference_load(work: _Ingestion, runs: RunTable) -> OdometryModel:
+def _with_reference_load(work: Ingestion, runs: RunTable) -> OdometryModel:
     settings, loads = work.settings, np.stack([runs.number(name) for name in WHEEL_LOADS])
     model, known = settings.model, loads[np.isfinite(loads)]
     assumed = model.reference_load_N == settings.vehicle.unladen_load_N and "vehicle.mass_kg" in settings.assumed
@@ -211,7 +169,7 @@ def _with_reference_load(work: _Ingestion, runs: RunTable) -> OdometryModel:
     return replace(model, reference_load_N=mean_N)
 
 
-def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable | None:
+def _run_table(path: Path, work: Ingestion, *, named: bool = False) -> RawTable | None:
     if not path.exists():
         raise BadInputError(f"{path}: found no such file; expected a run table or a recording; correct the path")
     if path.is_dir() or holds_recording(path):
@@ -232,7 +190,7 @@ def _run_table(path: Path, work: _Ingestion, *, named: bool = False) -> RawTable
     return raw
 
 
-def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: _Ingestion) -> dict[Path, RawTable]:
+def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: Ingestion) -> dict[Path, RawTable]:
     given = work.mapping.table
     stated = any(work.mapping.log.model_dump(exclude={"lag"}).values())
     if stated or work.mapping.cut or given.sheets or "log" in table.columns:
@@ -248,7 +206,7 @@ def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: _
     return tables
 
 
-def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
+def _runs_of_sheets(path: Path, work: Ingestion) -> RunTable:
     given, tables = work.mapping.table, []
     for sheet in given.sheets:
         shown = f"{path}, sheet {sheet!r}"
@@ -272,7 +230,7 @@ def _runs_of_sheets(path: Path, work: _Ingestion) -> RunTable:
     return runs.select(np.argsort([int(name) for name in named], kind="stable")) if numbered else runs
 
 
-def _without_logs(runs: RunTable, missing: MappingType[int, str], shown: str, border: Border) -> RunTable:
+def _without_logs(runs: RunTable, missing: Mapping[int, str], shown: str, border: Border) -> RunTable:
     counted = np.isfinite(runs.number("counts_left") + runs.number("counts_right"))
     excluded = runs.excluded.copy()
     reasons = runs.label("exclusion_reason").astype(object)
@@ -287,7 +245,7 @@ def _without_logs(runs: RunTable, missing: MappingType[int, str], shown: str, bo
     return replace(runs, labels={**runs.labels, **reason}, excluded=excluded)
 
 
-def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestion) -> None:
+def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: Ingestion) -> None:
     names = {str(run_id): index for index, run_id in enumerate(runs.run_id)}
     for run_id in work.mapping.log.swapped:
         log = logs.get(names.get(run_id, -1))
@@ -299,7 +257,7 @@ def _exchange_wheels(runs: RunTable, logs: dict[int, MappedLog], work: _Ingestio
         work.border.say(log.shown, "left and right were exchanged, as the mapping says", "exchanged", run_id=run_id)
 
 
-def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
+def _with_ends(runs: RunTable, logs: Mapping[int, MappedLog]) -> RunTable:
     numbers = dict(runs.numbers)
     for index, log in logs.items():
         for name, value in end_values(log.columns).items() if log.from_start else ():
@@ -308,7 +266,7 @@ def _with_ends(runs: RunTable, logs: MappingType[int, MappedLog]) -> RunTable:
     return replace(runs, numbers=numbers)
 
 
-def _with_wrap_bits(logs: MappingType[int, MappedLog], work: _Ingestion) -> Encoder:
+def _with_wrap_bits(logs: Mapping[int, MappedLog], work: Ingestion) -> Encoder:
     encoder = work.settings.encoder
     if encoder.wrap_bits is not None:
         return encoder
@@ -324,7 +282,7 @@ def _with_wrap_bits(logs: MappingType[int, MappedLog], work: _Ingestion) -> Enco
     return replace(encoder, wrap_bits=bits)
 
 
-def _record(work: _Ingestion) -> dict[str, object]:
+def _record(work: Ingestion) -> dict[str, object]:
     record: dict[str, object] = {
         "sources": [{"path": name, "sha256": digest} for name, digest in sorted(work.hashes.items())],
         "notes": [{"where": note.where, "text": note.text} for note in work.border.notes],

@@ -215,7 +215,7 @@ def _n_known(names: Iterable[str]) -> int:
 def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None, notes: list[Note]) -> ColumnContents:
     cells: npt.NDArray[np.generic] = raw.columns[name]
     if name in raw.epochs:
-        first, words = raw.written.get(name, (str(cells[0]), table.FORMAT_NAMES["iso8601"]))
+        first, words = raw.written.get(name, (str(cells[0]), table.TIME_FORMATS["iso8601"][1]))
         high, step = float(np.nanmax(cells)), usual_step(cells.astype(np.float64))
         return ColumnContents(name, "time", low=0.0, high=high, form=words, texts=(first,), step=step)
     if cells.dtype == object:

@@ -1,32 +1,16 @@
 """Logs and recordings under calib's names: streams joined on the wheels' times, counts, clocks."""
 
-from collections.abc import Iterable
-from collections.abc import Mapping as MappingType
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from calib.campaign.ingest.guesses import (
-    ONE_TURN,
-    Lag,
-    estimate_lag,
-    guessed_log_column,
-    stem_and_unit,
-)
-from calib.campaign.ingest.mapping import MappedColumn, Mapping, counts_per_unit
+from calib.campaign import logs
+from calib.campaign.ingest.guesses import ONE_TURN, Lag, estimate_lag, guessed_log_column, stem_and_unit
+from calib.campaign.ingest.mapping import LabMapping, MappedColumn, counts_per_unit
 from calib.campaign.ingest.runs import resolved, sheet_of, whole_name, without_unit
-from calib.campaign.logs import (
-    add_recognised,
-    detect_wrap_bits,
-    from_first_sample,
-    in_log,
-    log_column,
-    omit_lost_frames,
-    refuse_incomplete,
-    unwrap,
-)
 from calib.campaign.model import LOG_COLUMNS, REFERENCE_POSE, Border, Campaign, Note
 from calib.campaign.readers import RawTable, Wanted, holds_recording, joined_table, read_recording, read_table
 from calib.campaign.readers.recording import Recording, Stream, WantedColumns, check_not_empty
@@ -40,7 +24,7 @@ CUT_COLUMN: Final = "cut"
 _LEAST_LAG_SAMPLES: Final = 20
 #: at this spacing noise hardly lengthens a travelled distance
 _POSE_SPACING_S: Final = 0.1
-Lines = MappingType[str, MappedColumn]
+Lines = Mapping[str, MappedColumn]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,13 +37,13 @@ class MappedLog:
     columns: dict[str, FloatArray]
     #: time of the first sample: nanoseconds since 1970, or since midnight or the start of the clock
     start_ns: int
-    lags: MappingType[str, Lag] = field(default_factory=dict)
+    lags: Mapping[str, Lag] = field(default_factory=dict)
     wrap_bits: int | None = None
     #: range and poses count from the run's start
     from_start: bool = False
 
 
-def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campaign, border: Border) -> MappedLog:
+def read_mapped(files: Mapping[str, Path], mapping: LabMapping, settings: Campaign, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
     `files`: one under an empty name, or those of a run by the names of ``log.files``. Raises BadFileError where a
@@ -93,20 +77,20 @@ def read_mapped(files: MappingType[str, Path], mapping: Mapping, settings: Campa
     columns, epoch = _renamed(raw, lines, shown, border)
     if "t_s" in columns:
         _to_counts(columns, lines, settings, shown, border)
-    refuse_incomplete(columns, shown, raw.line)
-    omit_lost_frames(columns, REFERENCE_POSE, shown, border)
+    logs.refuse_incomplete(columns, shown, raw.line)
+    logs.omit_lost_frames(columns, REFERENCE_POSE, shown, border)
     columns = _without_repeats(columns, shown, border)
-    start = from_first_sample(columns, shown, border)
+    start = logs.from_first_sample(columns, shown, border)
     return MappedLog(shown, columns, round(start * NS_PER_S) if epoch is None else epoch, lags, bits)
 
 
 def _table(
-    path: Path, shown: str, lines: Lines, mapping: Mapping, border: Border
+    path: Path, shown: str, lines: Lines, mapping: LabMapping, border: Border
 ) -> tuple[RawTable, dict[str, MappedColumn]]:
     sources = {name for line in lines.values() for name in line.sources}
 
     def wanted(name: str) -> bool:
-        return name in sources or without_unit(name) in sources or in_log(name)
+        return name in sources or without_unit(name) in sources or logs.in_log(name)
 
     raw = _read(path, wanted, mapping)
     lines = resolved(lines, raw.columns)
@@ -114,12 +98,12 @@ def _table(
     return replace(raw, columns=_with_heading(raw.columns, lines, shown, border)), lines
 
 
-def _read(path: Path, wanted: Wanted, mapping: Mapping) -> RawTable:
+def _read(path: Path, wanted: Wanted, mapping: LabMapping) -> RawTable:
     book, sheet = sheet_of(path)
     return read_table(book, str(path), wanted, replace(mapping.log.layout, sheet=sheet or mapping.log.sheet))
 
 
-def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Recording:
+def _recording(path: Path, shown: str, lines: Lines, mapping: LabMapping) -> Recording:
     wanted = WantedColumns(name for line in lines.values() for name in line.sources)
     recording = read_recording(path, shown, wanted if lines else None)
     if any(not {*line.sources} <= {*recording.column_names} for line in lines.values()):
@@ -129,7 +113,7 @@ def _recording(path: Path, shown: str, lines: Lines, mapping: Mapping) -> Record
     return recording
 
 
-def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> Recording:
+def _gathered(files: Mapping[str, Path], lines: Lines, mapping: LabMapping) -> Recording:
     streams: list[Stream] = []
     notes: list[Note] = []
     for tag, path in files.items():
@@ -138,10 +122,10 @@ def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> 
         sources = {name.removeprefix(before) for line in lines.values() for name in line.sources} | {clock.column}
 
         def wanted(name: str, sources: set[str] = sources) -> bool:
-            return name in sources or without_unit(name) in sources or log_column(name).name == "t_s"
+            return name in sources or without_unit(name) in sources or logs.log_column(name).name == "t_s"
 
         raw = _read(path, wanted, mapping)
-        own = next((name for name in raw.columns if log_column(name).name == "t_s"), clock.column)
+        own = next((name for name in raw.columns if logs.log_column(name).name == "t_s"), clock.column)
         time = whole_name(clock.column, raw.columns)
         time = time if time in raw.columns else whole_name(own, raw.columns)
         if time not in raw.columns:
@@ -168,7 +152,9 @@ def _gathered(files: MappingType[str, Path], lines: Lines, mapping: Mapping) -> 
     return Recording(tuple(streams), tuple(notes))
 
 
-def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Mapping, row: int | None = None) -> None:
+def _refuse_missing(
+    names: Iterable[str], lines: Lines, shown: str, mapping: LabMapping, row: int | None = None
+) -> None:
     known = list(names)
     for name, line in lines.items():
         for column in (source for source in line.sources if source not in known):
@@ -179,7 +165,7 @@ def _refuse_missing(names: Iterable[str], lines: Lines, shown: str, mapping: Map
             raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
 
 
-def _empty_cells(columns: MappingType[str, FloatArray], lines: Lines) -> int:
+def _empty_cells(columns: Mapping[str, FloatArray], lines: Lines) -> int:
     of_wheels = (one for name, one in lines.items() if name.startswith(("counts_", "speed_")) and one.column in columns)
     return sum(int(np.isnan(columns[one.column]).sum()) for one in of_wheels if one.wheel_unit != "counts/sample")
 
@@ -223,15 +209,13 @@ def _unwrapped(
     return replace(recording, streams=tuple(streams)), bits
 
 
-def _with_heading(
-    columns: MappingType[str, FloatArray], lines: Lines, shown: str, border: Border
-) -> dict[str, FloatArray]:
+def _with_heading(columns: Mapping[str, FloatArray], lines: Lines, shown: str, border: Border) -> dict[str, FloatArray]:
     out, line = dict(columns), lines.get("ref_theta_rad", MappedColumn(column="ref_theta_rad"))
     poses = [column for name in REFERENCE_POSE if name in lines for column in lines[name].sources]
-    omit_lost_frames(out, poses, shown, border)
+    logs.omit_lost_frames(out, poses, shown, border)
     for name, cells in out.items():
         mapped = name == line.column
-        match = recognise(line.target("ref_theta_rad"), LOG_COLUMNS, further=False) if mapped else log_column(name)
+        match = recognise(line.target("ref_theta_rad"), LOG_COLUMNS, further=False) if mapped else logs.log_column(name)
         if mapped and line.w in columns:
             w, match = columns[line.w], Recognised(name, "ref_theta_rad")
             cells = np.arctan2(2.0 * w * cells, w * w - cells * cells)
@@ -241,7 +225,7 @@ def _with_heading(
     return out
 
 
-def _joined(recording: Recording, base: Stream, lines: Lines, removed: MappingType[str, Lag], shown: str) -> RawTable:
+def _joined(recording: Recording, base: Stream, lines: Lines, removed: Mapping[str, Lag], shown: str) -> RawTable:
     clock = "t_s" not in lines
     if clock and base.time_ns is None and "t_s" not in base.columns:
         found = f"no clock in {base.name!r} ({', '.join(base.columns)[:120]})"
@@ -265,7 +249,7 @@ def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[d
         else:
             match = recognise(line.target(name), LOG_COLUMNS, further=False)
             columns[name] = converted(cells, match.factor * line.scale(name), match.offset)
-    time_column = add_recognised(columns, raw, shown, border, {line.column for line in lines.values()})
+    time_column = logs.add_recognised(columns, raw, shown, border, {line.column for line in lines.values()})
     time_column = lines["t_s"].column if "t_s" in lines else time_column
     order = [name for name in (*LOG_COLUMNS, CUT_COLUMN) if name in columns]
     return {name: columns[name] for name in order}, raw.epochs.get(time_column)
@@ -343,8 +327,8 @@ def _travelled(stream: Stream, positions: FloatArray) -> FloatArray:
 def continuous_counts(counts: FloatArray, bits: int | None, time_s: FloatArray | None) -> tuple[FloatArray, int | None]:
     """Return counts without overflows, and the counter's width, if seen."""
     offsets = np.asarray([0, len(counts)])
-    width = bits or detect_wrap_bits(counts, offsets, time_s)
-    return (counts, None) if width is None else (unwrap(counts, offsets, width)[0], width)
+    width = bits or logs.detect_wrap_bits(counts, offsets, time_s)
+    return (counts, None) if width is None else (logs.unwrap(counts, offsets, width)[0], width)
 
 
 def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:

@@ -227,6 +227,11 @@ class LogSection(_Section):
         return self
 
     @property
+    def by_moment(self) -> bool:
+        """Whether the date and time of its row name a run's log."""
+        return self.file is not None and re.search(OF_A_RUN, self.file) is None
+
+    @property
     def run_sheet(self) -> str | None:
         """Name of the sheet that is a run's log, as ``Run {n}``."""
         return self.sheet if self.sheet and re.search(OF_A_RUN, self.sheet) else None
@@ -278,7 +283,7 @@ class Segmentation(_Model):
 
 
 @dataclass(frozen=True, slots=True)
-class Mapping:
+class LabMapping:
     """A mapping as read."""
 
     shown: str
@@ -291,7 +296,7 @@ class Mapping:
     table_file: Path | None = None
 
 
-def read_mapping(path: Path | None) -> Mapping:
+def read_mapping(path: Path | None) -> LabMapping:
     """Read a mapping.
 
     `path`: TOML file; None: an empty one. Raises BadFileError where a line cannot be used.
@@ -311,7 +316,7 @@ def read_mapping(path: Path | None) -> Mapping:
             expected = f"{_LOG_FILES}; or [cut], for many runs"
             raise bad_line(shown, "log", f"files.{tag}", pattern, expected)
     table_file = inside(path.parent, table.file, named_in=shown, column="table.file") if path and table.file else None
-    return Mapping(shown, table, log, cut, document, table_file)
+    return LabMapping(shown, table, log, cut, document, table_file)
 
 
 _Parsed = TypeVar("_Parsed", bound=BaseModel)

@@ -6,16 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
+from calib.campaign.ingest import guesses
 from calib.campaign.ingest.contents import ColumnContents, FileContents
-from calib.campaign.ingest.guesses import (
-    BEHAVIOURS,
-    RISES,
-    by_rangefinder,
-    count_unit,
-    guessed_log_column,
-    side_of,
-    stem_and_unit,
-)
+from calib.campaign.ingest.guesses import BEHAVIOURS, count_unit, guessed_log_column, side_of, stem_and_unit
 from calib.campaign.ingest.mapping import MappedColumn
 from calib.campaign.ingest.proposal_table import entry, files_of_a_run, unit_remark
 from calib.campaign.model import LOG_COLUMNS
@@ -132,6 +125,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         lines.append(entry("t_s", clock, unit) + remark.replace("names no unit", "rises in even steps"))
         columns.remove(clock)
     x = found.get("ref_x_m")
+    eastward = x is not None and re.match("(.*_)?(ost|este?|east)", stem_and_unit(x.name)[0]) is not None
     for target, column in found.items():
         # in the log of the wheels a pose without the name of a tracker may be the vehicle's own
         own = not log.recording and _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None
@@ -139,12 +133,8 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
         if target == "ref_x_m" and (own or (reference and reference.kind == _ODOMETRY)):
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
-            east = (
-                re.match("(.*_)?(ost|este?|east)", stem_and_unit(x.name)[0])
-                if x and target == "ref_theta_rad"
-                else None
-            )
-            lines.append(_line(target, column, log) + (_COMPASS if east else _BESIDE if column is bearing else ""))
+            compass = _COMPASS if eastward and target == "ref_theta_rad" else ""
+            lines.append(_line(target, column, log) + (compass or (_BESIDE if column is bearing else "")))
         if target == "ref_theta_rad" and (_OF_QUATERNION.search(column.name) or _w(column) in others - {column.name}):
             lines[-1] = _quaternion_line(column, columns)
     lines += _wheel_lines(found, columns, streams)
@@ -166,7 +156,7 @@ def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], l
 def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
     # a joint's rate, a pose of no tracker and a length of no instrument are taken where nothing better is there
     no_tracker = _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None or "odom" in column.name.lower()
-    return _RATE in column.name, no_tracker, not by_rangefinder(column.name)
+    return _RATE in column.name, no_tracker, not guesses.by_rangefinder(column.name)
 
 
 def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
@@ -314,7 +304,7 @@ def _turns(column: ColumnContents) -> bool:
 
 def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
     # two counters, by overflows or whole steps
-    rising = [column for column in columns if column.does == RISES]
+    rising = [column for column in columns if column.does == guesses.RISES]
     kinds = {
         "overflows": [column for column in columns if column.whole and column.wrap_bits],
         "rises in whole numbers": [column for column in rising if column.whole and not column.even],

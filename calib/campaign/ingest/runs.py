@@ -1,8 +1,6 @@
 """The run table under calib's names, and which file is the log of which run."""
 
-import re
-from collections.abc import Collection, Sequence
-from collections.abc import Mapping as MappingType
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate
 from pathlib import Path
@@ -11,34 +9,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.ingest.contents import (
-    WORKBOOK,
-    expected_name,
-    fits_name,
-    moment_of,
-    names_moment,
-    run_in,
-    run_number,
-    with_number,
-)
-from calib.campaign.ingest.mapping import (
-    OF_A_RUN,
-    TABLE_COLUMNS,
-    LogSection,
-    MappedColumn,
-    Mapping,
-    bad_line,
-    counts_per_unit,
-)
+from calib.campaign.ingest import contents
+from calib.campaign.ingest.contents import moment_of
+from calib.campaign.ingest.mapping import TABLE_COLUMNS, LabMapping, LogSection, MappedColumn, bad_line, counts_per_unit
 from calib.campaign.model import Border, Campaign, RunTable
 from calib.campaign.readers import Layout, RawTable, read_table
 from calib.campaign.readers.sheets import COUNT_UNITS
-from calib.campaign.readers.table import (
-    comma_evidence,
-    is_filled,
-    numbers,
-    object_array,
-)
+from calib.campaign.readers.table import comma_evidence, is_filled, numbers, object_array
 from calib.campaign.settings import bracketed, converted, recognise
 from calib.campaign.tables import run_table
 from calib.errors import BadFileError
@@ -58,7 +35,7 @@ def whole_name(column: str, names: Collection[str]) -> str:
     return alike[0] if len(alike) == 1 and column not in names else column
 
 
-def resolved(lines: MappingType[str, MappedColumn], names: Collection[str]) -> dict[str, MappedColumn]:
+def resolved(lines: Mapping[str, MappedColumn], names: Collection[str]) -> dict[str, MappedColumn]:
     """Return lines with the columns' whole names where they lack the file's unit."""
 
     def whole(line: MappedColumn) -> MappedColumn:
@@ -69,8 +46,8 @@ def resolved(lines: MappingType[str, MappedColumn], names: Collection[str]) -> d
 
 
 def with_lookups(
-    raw: RawTable, mapping: Mapping, path: Path, border: Border, beside: MappingType[str, Path]
-) -> tuple[RawTable, Mapping]:
+    raw: RawTable, mapping: LabMapping, path: Path, border: Border, beside: Mapping[str, Path]
+) -> tuple[RawTable, LabMapping]:
     """Return the run table with looked-up columns and filled cells, and the mapping's lines.
 
     `path`: the run table's file; `beside`: see `files_of_sheets`. Raises BadFileError where a sheet, column or label is
@@ -99,11 +76,11 @@ def with_lookups(
     return replace(raw, columns=columns), replace(mapping, table=table)
 
 
-def files_of_sheets(mapping: Mapping, path: Path, files: Sequence[Path], hashes: dict[str, str]) -> dict[str, Path]:
+def files_of_sheets(mapping: LabMapping, path: Path, files: Sequence[Path], hashes: dict[str, str]) -> dict[str, Path]:
     """Return the files that a mapping's sheets name where the run table at `path` is no workbook; add their hashes."""
     found: dict[str, Path] = {}
     for target, line in mapping.table.columns.items():
-        if line.sheet and path.suffix.lower() != WORKBOOK:
+        if line.sheet and path.suffix.lower() != contents.WORKBOOK:
             named = [file for file in files if line.sheet in {file.name, file.stem}]
             if len(named) != 1:
                 expected = f"the name of one further source, as {path.name} has no sheets"
@@ -154,14 +131,14 @@ def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, bor
         border.say(f"{shown}, rows {listed}", text, "no_session", level="suspicious")
 
 
-def names_runs(raw: RawTable, mapping: Mapping) -> bool:
+def names_runs(raw: RawTable, mapping: LabMapping) -> bool:
     """Return whether a table names runs, by the mapping or by calib's name."""
     line = mapping.table.columns.get("run_id")
     own = any(recognise(name, TABLE_COLUMNS).name == "run_id" for name in raw.columns)
     return own or (line is not None and line.column in raw.columns)
 
 
-def mapped_runs(raw: RawTable, mapping: Mapping, settings: Campaign, shown: str, border: Border) -> RunTable:
+def mapped_runs(raw: RawTable, mapping: LabMapping, settings: Campaign, shown: str, border: Border) -> RunTable:
     """Return the run table of a laboratory's table; see `run_table`.
 
     Raises BadFileError where the mapping names a column or a text that is not there, or the table cannot be used.
@@ -193,7 +170,7 @@ def mapped_runs(raw: RawTable, mapping: Mapping, settings: Campaign, shown: str,
     return replace(runs, numbers=scaled)
 
 
-def _without_end(raw: RawTable, lines: MappingType[str, MappedColumn], shown: str, border: Border) -> RawTable:
+def _without_end(raw: RawTable, lines: Mapping[str, MappedColumn], shown: str, border: Border) -> RawTable:
     names = raw.columns.get(lines["run_id"].column if "run_id" in lines else "run_id", ())
     end = max((at for at, cell in enumerate(names, start=1) if is_filled(cell)), default=len(raw.line))
     for row in raw.line[end:]:
@@ -201,7 +178,7 @@ def _without_end(raw: RawTable, lines: MappingType[str, MappedColumn], shown: st
     return raw.select(slice(0, end))
 
 
-def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown: str) -> npt.NDArray[Any]:
+def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: LabMapping, shown: str) -> npt.NDArray[Any]:
     for column in (column for column in line.sources if column not in raw.columns):
         found, remedy = f"only {', '.join(raw.columns)[:200]}", f"correct table.{name} in {mapping.shown}"
         row = max(1, int(raw.line[0]) - 1) if len(raw.line) else 1
@@ -225,10 +202,10 @@ def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: Mapping, shown
     return object_array(texts)
 
 
-def _constant(name: str, line: MappedColumn, n_runs: int, mapping: Mapping) -> npt.NDArray[Any]:
+def _constant(name: str, line: MappedColumn, n_runs: int, mapping: LabMapping) -> npt.NDArray[Any]:
     value = str(line.value).lower() if isinstance(line.value, bool) else line.value
     if name == "run_id" and isinstance(value, str) and "{n" in value:
-        return object_array([with_number(value, number) for number in range(1, n_runs + 1)])
+        return object_array([contents.with_number(value, number) for number in range(1, n_runs + 1)])
     values = value if isinstance(value, list) else [value] * n_runs
     if len(values) != n_runs:
         raise bad_line(mapping.shown, "table", name, f"{len(values)} values", f"one value for each of {n_runs} runs")
@@ -263,8 +240,7 @@ def match_logs(
     missing: dict[int, str] = {}
     patterns: dict[str, str | None] = {**log.files} or {"": log.file or log.run_sheet}
     moments: dict[int, tuple[str, ...]] = {}
-    if table is not None and log.file and not re.search(OF_A_RUN, log.file):
-        # the date and time of its row name a run's log
+    if table is not None and log.by_moment:
         moments = dict(zip(table.line.tolist(), map(moment_of, zip(*table.columns.values(), strict=True)), strict=True))
     if log.columns and not files:
         border.say(shown, 'no log for [log]: name the files, or sheet = "Run {n}"', "no_logs", level="suspicious")
@@ -272,15 +248,15 @@ def match_logs(
         found: dict[str, Path] = {}
         moment = moments.get(int(runs.line[index]))
         for tag, pattern in patterns.items():
-            wanted = (expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
+            wanted = (contents.expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
             if not wanted and named is not None:
                 continue
             names = [wanted] if named is None else [wanted, f"{wanted}.*"]
             fitting = [
                 path
                 for path in files
-                if (any(fits_name(path.name, name) for name in names) if wanted else path.stem == run_id)
-                and (moment is None or names_moment(path.name, moment))
+                if (any(contents.fits_name(path.name, name) for name in names) if wanted else path.stem == run_id)
+                and (moment is None or contents.names_moment(path.name, moment))
             ]
             if len(fitting) > 1:
                 raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
@@ -300,7 +276,7 @@ def match_logs(
 def sheet_of(path: Path) -> tuple[Path, str | None]:
     """Return a log's file, and the sheet where it is one of a workbook: ``book.xlsx/Run 1``."""
     book = path.parent
-    return (book, path.name) if book.suffix.lower() == WORKBOOK and book.is_file() else (path, None)
+    return (book, path.name) if book.suffix.lower() == contents.WORKBOOK and book.is_file() else (path, None)
 
 
 def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border: Border) -> None:
@@ -311,7 +287,7 @@ def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border
         text, code = "belongs to no run of the table", "unused_source"
         if twin is not None:
             text, code = f"holds the same bytes as {twin}", "repeated_log"
-        from_0 = log.file is not None and run_in(path.name, log.file) == "0"
+        from_0 = log.file is not None and contents.run_in(path.name, log.file) == "0"
         text += " and was omitted" + "; where logs count from 0, write {n-1} in log.file" * from_0
         border.say(str(path), text, code, level="suspicious" if from_0 else "info")
 
@@ -320,6 +296,6 @@ def files_of_runs(files: Sequence[Path], log: LogSection) -> dict[str, dict[str,
     """Return the runs of files by the patterns of ``log.files``, in the order of their names, and the files of each."""
     found: dict[str, dict[str, Path]] = {}
     for tag, pattern in log.files.items():
-        for path in (path for path in files if fits_name(path.name, pattern)):
-            found.setdefault(run_in(path.name, pattern) or "", {})[tag] = path
-    return dict(sorted(found.items(), key=lambda run: (run_number(run[0], None) or 0, run[0])))
+        for path in (path for path in files if contents.fits_name(path.name, pattern)):
+            found.setdefault(contents.run_in(path.name, pattern) or "", {})[tag] = path
+    return dict(sorted(found.items(), key=lambda run: (contents.run_number(run[0], None) or 0, run[0])))

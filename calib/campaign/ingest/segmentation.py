@@ -1,23 +1,23 @@
 """Segmentation of recordings into runs, each in its start frame."""
 
 import itertools
-from collections.abc import Mapping as MappingType
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from calib.campaign.ingest.contents import with_number
-from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog, continuous_counts
-from calib.campaign.ingest.mapping import MappedColumn, Mapping, Segmentation
-from calib.campaign.ingest.runs import mapped_runs
+from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog, continuous_counts, read_mapped
+from calib.campaign.ingest.mapping import LabMapping, MappedColumn, Segmentation
+from calib.campaign.ingest.runs import mapped_runs, sheet_of
 from calib.campaign.model import REFERENCE_POSE, Border, Campaign, RunTable
 from calib.campaign.readers import RawTable
 from calib.campaign.readers.table import NS_PER_S, moment_ns, object_array
 from calib.errors import BadFileError
-from calib.types import BoolArray, FloatArray, in_frame
+from calib.io import sha256_file
+from calib.types import BoolArray, FloatArray, Progress, in_frame, stepped
 
 _TOGGLE_COUNTS: Final = 3.0
 _STANDING_COUNTS: Final = 1.5
@@ -37,20 +37,50 @@ class Segment:
     end_ns: int
 
 
+@dataclass(slots=True)
+class Ingestion:
+    """The files of an ingestion, what was read of them, and what is said of it."""
+
+    mapping: LabMapping
+    settings: Campaign
+    border: Border
+    progress: Progress
+    #: path -> SHA-256
+    hashes: dict[str, str] = field(default_factory=dict)
+    recordings: dict[str, MappedLog] = field(default_factory=dict)
+    segments: list[Segment] = field(default_factory=list)
+
+    def read_log(self, files: Mapping[str, Path]) -> MappedLog:
+        """Read the log of a run or a recording; see `read_mapped`."""
+        log = read_mapped(files, self.mapping, self.settings, self.border)
+        for path, _ in map(sheet_of, files.values()):
+            parts = sorted(file for file in path.iterdir() if file.is_file()) if path.is_dir() else [path]
+            self.hashes |= {str(part): sha256_file(part) for part in parts}
+        return log
+
+    def read_logs(self, logs_of_runs: Mapping[int, Mapping[str, Path]]) -> dict[int, MappedLog]:
+        """Read logs of one run each, in its start frame where the mapping says so."""
+        stated = [name for name, line in self.mapping.log.columns.items() if line.from_start is True]
+        distance = "range_m" in stated
+        poses = self.settings.reference.frame != "map" and any(name.startswith("ref_") for name in stated)
+        logs = {}
+        for index, files in stepped(list(logs_of_runs.items()), self.progress, "logs"):
+            log = self.read_log(files)
+            turned = from_start(log.columns, poses=poses, distance=distance)
+            logs[index] = replace(log, columns=turned, from_start=distance or poses)
+        return logs
+
+
 def segment_recordings(
-    runs: RunTable | None,
-    table: RawTable | None,
-    recordings: MappingType[Path, MappedLog],
-    mapping: Mapping,
-    settings: Campaign,
-    border: Border,
-) -> tuple[RunTable, dict[int, MappedLog], dict[str, MappedLog], list[Segment]]:
-    """Return rows, the log of each run by its number, recordings by name, unwrapped, and the part that each run is.
+    work: Ingestion, runs: RunTable | None, table: RawTable | None, recordings: Mapping[Path, MappedLog]
+) -> tuple[RunTable, dict[int, MappedLog]]:
+    """Return rows, and the log of each run by its number; `work` gets the recordings, and the part that each run is.
 
     Raises BadFileError where there are not as many segments as rows.
 
     `runs`: in the order driven (None: numbered), as `recordings`; `table`: as read, for times; see `find_runs`.
     """
+    mapping, settings = work.mapping, work.settings
     cut = mapping.cut or Segmentation()
     if cut.by == "times" and cut.start and table is not None:
         cut = cut.model_copy(update={"times": _table_times(table, cut, mapping.shown)})
@@ -58,13 +88,12 @@ def segment_recordings(
     poses = settings.reference.frame != "map"
     distance = mapping.log.columns.get("range_m", MappedColumn(column="range_m")).from_start is not False
     logs: dict[int, MappedLog] = {}
-    whole: dict[str, MappedLog] = {}
     segments: list[Segment] = []
     names: list[str] = []
     for path, recording in recordings.items():
         log = _unwrapped(recording, settings.encoder.wrap_bits)
-        name = path.stem if path.stem not in whole else f"{path.stem}_{len(whole) + 1}"
-        whole[name] = log
+        name = path.stem if path.stem not in work.recordings else f"{path.stem}_{len(work.recordings) + 1}"
+        work.recordings[name] = log
         for part in find_runs(cut, log.columns, m_per_count=m_per_count, start_ns=log.start_ns, shown=str(path)):
             columns = from_start(_columns_of(log.columns, part), poses=poses, distance=distance)
             logs[len(logs)] = replace(log, columns=columns, from_start=True)
@@ -80,13 +109,13 @@ def segment_recordings(
         numbered = {"run_id": object_array([with_number(cut.run_id, n) for n in range(1, len(names) + 1)])}
         sessions = {} if "session" in mapping.table.columns else {"session": object_array(names)}
         raw = RawTable(numbered | sessions, np.arange(2, len(names) + 2, dtype=np.int64))
-        runs = mapped_runs(raw, mapping, settings, "the runs cut", border)
+        runs = mapped_runs(raw, mapping, settings, "the runs cut", work.border)
     elif len(runs) != len(logs):
         spans = ", ".join(f"{segment.start_s:.4g}-{segment.end_s:.4g}" for segment in segments[:12])
         found = f"{len(logs)} runs, cut by {cut.by} ({spans} s), and {len(runs)} rows of the table"
         raise BadFileError(shown, found, "as many", "correct min_stop_s or min_length_m of [cut], or cut by times")
-    segments = [replace(part, run_id=str(run_id)) for part, run_id in zip(segments, runs.run_id, strict=True)]
-    return runs, logs, whole, segments
+    work.segments += [replace(part, run_id=str(run_id)) for part, run_id in zip(segments, runs.run_id, strict=True)]
+    return runs, logs
 
 
 def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
@@ -98,7 +127,7 @@ def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
     return replace(log, columns=columns, wrap_bits=found)
 
 
-def _columns_of(columns: MappingType[str, FloatArray], part: slice) -> dict[str, FloatArray]:
+def _columns_of(columns: Mapping[str, FloatArray], part: slice) -> dict[str, FloatArray]:
     out = {name: values[part] for name, values in columns.items() if name != CUT_COLUMN}
     out["t_s"] = np.round(out["t_s"] - out["t_s"][0], 9)
     return {name: values - values[0] if name.startswith("counts_") else values for name, values in out.items()}
@@ -112,7 +141,7 @@ def _table_times(table: RawTable, cut: Segmentation, shown: str) -> list[list[An
 
 
 def find_runs(
-    cut: Segmentation, log: MappingType[str, FloatArray], *, m_per_count: float, start_ns: int, shown: str
+    cut: Segmentation, log: Mapping[str, FloatArray], *, m_per_count: float, start_ns: int, shown: str
 ) -> list[slice]:
     """Return the runs of a recording.
 
@@ -189,7 +218,7 @@ def _seconds(value: Any, start_ns: int, shown: str) -> float:
         raise BadFileError(shown, f"{value!r:.40}", expected, remedy) from error
 
 
-def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: bool) -> dict[str, FloatArray]:
+def from_start(columns: Mapping[str, FloatArray], *, poses: bool, distance: bool) -> dict[str, FloatArray]:
     """Return a run's columns with poses in its start frame and the range as distance from the start.
 
     The start is the median before the wheels turn: one noisy sample does not turn the path. `poses`, `distance`:
@@ -213,7 +242,7 @@ def from_start(columns: MappingType[str, FloatArray], *, poses: bool, distance: 
     return out
 
 
-def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
+def end_values(columns: Mapping[str, FloatArray]) -> dict[str, float]:
     """Return distance and end pose of a run from its start: medians after the wheels have stopped."""
     time, wheels = columns["t_s"], _wheels(columns)
     first = len(time) - 1
@@ -225,7 +254,7 @@ def end_values(columns: MappingType[str, FloatArray]) -> dict[str, float]:
     return {name: value for name, value in ends.items() if np.isfinite(value)}
 
 
-def _wheels(columns: MappingType[str, FloatArray]) -> list[FloatArray]:
+def _wheels(columns: Mapping[str, FloatArray]) -> list[FloatArray]:
     return [values for name, values in columns.items() if name.startswith("counts_")]
 
 

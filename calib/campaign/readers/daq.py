@@ -171,7 +171,6 @@ def _unpacked(content: memoryview) -> bytes:
 
 #: TDMS times count from 1904-01-01, Unix times from 1970-01-01
 _FROM_1904_S: Final = 2_082_844_800
-_CHUNK_SAMPLES: Final = 1 << 20
 
 
 def record_tdms(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
@@ -242,18 +241,11 @@ def _streams(group: str, channels: "Mapping[str, TdmsChannel]") -> list[Stream]:
                 # a channel of time stamps is the clock of those beside it
                 time, clock = _moments_ns(channel[:]), f"time stamps of {name}"
             else:
-                columns[name] = _values(channel)
+                columns[name] = floats(channel[:])
         units = {name: str(unit) for name in columns if (unit := members[name].properties.get("unit_string"))}
         clock = "none" if time is None else clock
         streams += [Stream(_numbered(group, number), "channels", columns, time, clock, units)] if columns else []
     return streams
-
-
-def _values(channel: "TdmsChannel") -> FloatArray:
-    values: FloatArray = np.empty(len(channel))
-    for start in range(0, len(channel), _CHUNK_SAMPLES):
-        values[start : start + _CHUNK_SAMPLES] = channel[start : min(start + _CHUNK_SAMPLES, len(channel))]
-    return values
 
 
 def _time(channel: "TdmsChannel") -> IntArray | None:

@@ -14,19 +14,9 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Note
+from calib.campaign.readers import table
 from calib.campaign.readers.sheets import LOOKED_AT, Rows, finished, heading, table_rows
-from calib.campaign.readers.table import (
-    HEADER_ROWS,
-    LARGEST_VALUE,
-    Layout,
-    RawTable,
-    Wanted,
-    check_header,
-    find_header,
-    is_number,
-    notes_of_commas,
-    turned,
-)
+from calib.campaign.readers.table import Layout, RawTable, Wanted, check_header, find_header, is_number
 from calib.errors import BadFileError
 from calib.types import FloatArray, grouped, unit_named
 
@@ -80,7 +70,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
         if fast is not None:
             columns, n_read, comma = fast
             notes += recognised
-            notes += notes_of_commas({}, shown, np.zeros(0, np.int64)) if comma else []
+            notes += table.notes_of_commas({}, shown, np.zeros(0, np.int64)) if comma else []
             return RawTable(columns, np.arange(n_read, dtype=np.int64) + skipped + 1 + n_rows, tuple(notes))
     cells = _read_cells(data[start:].decode("utf-8"), shown, delimiter, wanted, skipped, layout, above)
     return replace(cells, notes=(*notes, *cells.notes))
@@ -142,7 +132,7 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
         rows = _split_cells(lines, usual)
         if len(rows) == _FEW_ROWS and len({len(row) for row in rows}) == 1 < len(rows[0]) and find_header(rows) == 0:
             return usual, 0
-    lines = _first_lines(data, HEADER_ROWS + (layout.header_row or 0))
+    lines = _first_lines(data, table.HEADER_ROWS + (layout.header_row or 0))
     if layout.header_row is not None:
         if layout.header_row > len(lines):
             expected = f"the header in row {layout.header_row}"
@@ -196,7 +186,7 @@ def _read_numeric(
         return None
     if (values := numpy_table(body, rows, len(names), delimiter)) is not None:
         values = values[:, [names.index(name) for name in keep]]
-        values = None if values.size and np.abs(values).max() > LARGEST_VALUE else values
+        values = None if values.size and np.abs(values).max() > table.LARGEST_VALUE else values
     elif parsed := _parsed(body, rows, names, keep, delimiter, "," if comma else "."):
         values = parsed[0]
     if values is None:
@@ -241,7 +231,8 @@ def _parsed(
         values = frame.to_numpy(np.float64)
     except (ValueError, OverflowError):
         return None
-    if np.fmax.reduce(values, axis=None) > LARGEST_VALUE or np.fmin.reduce(values, axis=None) < -LARGEST_VALUE:
+    low, high = np.fmin.reduce(values, axis=None), np.fmax.reduce(values, axis=None)
+    if max(-low, high) > table.LARGEST_VALUE:
         return None
     return values, [kind == "f" for kind in kinds]
 
@@ -258,7 +249,7 @@ def _read_cells(
     names, n_rows, recognised = heading(rows, layout, shown, above)
     _check_names(names, shown, skipped + 1)
     names, rows, omitted = table_rows(names, rows, n_rows, layout, shown)
-    table: list[Sequence[str]] = []
+    body: list[Sequence[str]] = []
     lines: list[int] = []
     for line, cells in rows:
         remark = len(cells) != len(names) and "".join(cells).lstrip().startswith("#")
@@ -268,9 +259,9 @@ def _read_cells(
         if len(whole) != len(names):
             expected = f"{len(names)}, as the header in row {skipped + 1} has"
             raise BadFileError(shown, f"{len(cells)} cells", expected, _remedy(cells, names, delimiter), row=line)
-        table.append(whole)
+        body.append(whole)
         lines.append(line)
-    grid = np.array(table, dtype=object).reshape(len(table), len(names))
+    grid = np.array(body, dtype=object).reshape(len(body), len(names))
     columns = {name: grid[:, index] for index, name in enumerate(names) if name and (wanted is None or wanted(name))}
     return finished(columns, lines, wanted, [*recognised, *omitted], shown)
 
@@ -336,7 +327,7 @@ def _tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
     if layout.runs_in_columns:
         rows = data.decode("utf-8").splitlines()
         mark, out = _find_delimiter(rows), io.StringIO()
-        csv.writer(out, delimiter=mark, lineterminator="\n").writerows(turned(_split_cells(rows, mark)))
+        csv.writer(out, delimiter=mark, lineterminator="\n").writerows(table.turned(_split_cells(rows, mark)))
         data = out.getvalue().encode("utf-8")
     return data.rstrip(b"\n") + b"\n" if data.strip() else data, notes
 
@@ -366,7 +357,7 @@ def _by_blanks(data: bytes) -> bool:
     lines = data[:_HEAD_BYTES].decode("utf-8", errors="ignore").split("\n")
     if len(data) > _HEAD_BYTES:
         lines.pop()
-    lines = [line.strip() for line in lines if line.strip()][-HEADER_ROWS:]
+    lines = [line.strip() for line in lines if line.strip()][-table.HEADER_ROWS :]
     lines = lines[-max(_LEAST_LINES, len(lines) // 2) :]
     if len(lines) < _LEAST_LINES or any(mark in line for line in lines for mark in (";", "\t", '"')):
         return False
@@ -384,7 +375,7 @@ def _split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
 
 
 def _find_delimiter(lines: Sequence[str]) -> str:
-    filled = [line for line in lines if line.strip()][:HEADER_ROWS]
+    filled = [line for line in lines if line.strip()][: table.HEADER_ROWS]
     # first of equals: commas as regular as semicolons are decimal
     regular = {}
     for mark in (";", "\t", ","):

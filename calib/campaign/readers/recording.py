@@ -354,6 +354,8 @@ def _finite(value: float) -> float:
     return float(value) if math.isfinite(value) else math.nan
 
 
+#: of std_msgs
+NUMBERS: Final = ("Float32", "Float64", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     "sensor_msgs/msg/JointState": _joint_state,
     "nav_msgs/msg/Odometry": lambda m: [("", POSE + _TWIST, _pose(m.pose.pose) + _twist(m.twist.twist), m.header)],
@@ -366,13 +368,7 @@ MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     "sensor_msgs/msg/Range": lambda m: [("", ("range",), (_finite(m.range),), m.header)],
     "sensor_msgs/msg/LaserScan": _laser_scan,
     "sensor_msgs/msg/Imu": lambda m: [("", ("angular_velocity_z",), (_finite(m.angular_velocity.z),), m.header)],
-    **dict.fromkeys(
-        (
-            f"std_msgs/msg/{kind}"
-            for kind in ("Float32", "Float64", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
-        ),
-        lambda m: [("", ("data",), (float(m.data),), None)],
-    ),
+    **{f"std_msgs/msg/{kind}": lambda m: [("", ("data",), (float(m.data),), None)] for kind in NUMBERS},
 }
 
 COLUMN_UNITS: Final[Mapping[str, str]] = {

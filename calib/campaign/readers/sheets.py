@@ -216,7 +216,7 @@ def finished(
         time_ns, bad = table.moments_ns(cells)
         if bad is not None:
             found = "an empty cell" if cells[bad] is None else repr(str(cells[bad])[:40])
-            expected, remedy = f"a time as {table.TIME_FORMATS[form]}", "correct the cell, or remove the row"
+            expected, remedy = f"a time as {table.TIME_FORMATS[form][0]}", "correct the cell, or remove the row"
             raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
         epochs[name] = int(time_ns[0])
         values[name] = (time_ns - time_ns[0]) / table.NS_PER_S

@@ -56,18 +56,12 @@ _TIMES: Final = {
     "time_of_day": re.compile(_CLOCK, re.ASCII),
 }
 
+#: name of a format -> an example, and the format in words
 TIME_FORMATS: Final = {
-    "iso8601": "2026-05-04T10:15:30.250+02:00",
-    "day_first": "04.05.2026 10:15:30,250",
-    "slashes": "04/05/2026 10:15:30.250",
-    "time_of_day": "10:15:30.250",
-}
-
-FORMAT_NAMES: Final = {
-    "iso8601": "ISO 8601 (year-month-day, hours:minutes:seconds)",
-    "day_first": "day.month.year hours:minutes:seconds",
-    "slashes": "day/month/year hours:minutes:seconds",
-    "time_of_day": "times of day (hours:minutes:seconds)",
+    "iso8601": ("2026-05-04T10:15:30.250+02:00", "ISO 8601 (year-month-day, hours:minutes:seconds)"),
+    "day_first": ("04.05.2026 10:15:30,250", "day.month.year hours:minutes:seconds"),
+    "slashes": ("04/05/2026 10:15:30.250", "day/month/year hours:minutes:seconds"),
+    "time_of_day": ("10:15:30.250", "times of day (hours:minutes:seconds)"),
 }
 
 
@@ -155,9 +149,10 @@ def turned(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
 
 def format_words(cells: Sequence[Any] | npt.NDArray[Any]) -> str:
     """Return in words how times are written; empty for no time."""
-    form = time_format(str(cells[0]))
+    if (form := time_format(str(cells[0]))) is None:
+        return ""
     month_first = form == "slashes" and _month_before_day(cells)
-    return FORMAT_NAMES.get(form or "", "").replace("day/month", "month/day" if month_first else "day/month")
+    return TIME_FORMATS[form][1].replace("day/month", "month/day" if month_first else "day/month")
 
 
 def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
