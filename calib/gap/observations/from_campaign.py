@@ -57,7 +57,7 @@ def edges_along(way_m: FloatArray, count: float) -> IntArray:
 def cut(whole: Observation, setup: Setup, length_m: float) -> list[Observation]:
     """Cut a recording into windows of about a length of rolling; empty if there is but one.
 
-    A front wheel is kept if it drives the odometry, else compared over whole runs only.
+    A front wheel is kept if it drives the odometry, else compared over whole runs only, as a laser's distance is.
     """
     if (reference := whole.reference) is None:
         return []
@@ -215,12 +215,18 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
     wanted_m = travelled_m / (WINDOWS_WANTED * max(share, 1.0))
     # short enough for many windows, long enough that wheels matter
     length_m = float(np.clip(wanted_m, min(MIN_WINDOW_TRACKS * setup.model.track_m, WINDOW_M), WINDOW_M))
+    ends = np.isfinite(campaign.runs.number("ref_x_m")) & setup.in_map
     units: list[Observation] = []
-    n_cut = 0
+    n_cut = lacking = 0
     for run in recorded:
         windows = cut(run, setup, length_m) if into_windows else []
         n_cut += bool(windows)
-        units.extend(windows or [_with_gyro(_with_log_pose(run, setup), setup)])
+        posed = windows or [_with_gyro(_with_log_pose(run, setup), setup)]
+        lacking += sum(bool(ends[run.run] and np.isnan(unit.measured[1:]).all()) for unit in posed)
+        units.extend(posed)
+        if windows and not setup.stands_in:
+            # what front wheel and laser measure is compared over the whole: windows would share their errors
+            units.append(replace(run, measured=np.append(run.measured[:1], np.full(3, np.nan))))
     notes = []
     if without_counts := len(campaign.runs) - len(recorded):
         notes.append(f"{without_counts} runs have no encoder counts and were omitted")
@@ -229,8 +235,7 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
     if any(isinstance(each, CourseOverGround) for each in references):
         taken = "headings are taken from the course over ground"
         notes.append(f"the reference measures positions without a heading: {taken}")
-    ends = np.isfinite(campaign.runs.number("ref_x_m")) & setup.in_map
-    if lacking := sum(bool(ends[unit.run] and np.isnan(unit.measured[1:]).all()) for unit in units):
+    if lacking:
         notes.append(
             f"{lacking} runs have an end pose in a map, which is not used: their logs lack ref_x_m, ref_y_m, "
             "ref_theta_rad where they begin"
