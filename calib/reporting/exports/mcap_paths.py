@@ -78,7 +78,8 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[_ShownRun]:
             for channel in Channel
             if observations.usable[number, channel]
         }
-        window = f", window {observations.window[number]}" if observations.windowed else ""
+        part = observations.windowed and observations.usable[number, Channel.ALONG]
+        window = f", window {observations.window[number]}" if part else ""
         label = f"run {labels['run_id'][number]}{window}, {labels['kind'][number]}, session {labels['session'][number]}"
         yield label, float(time_s[-1]), paths, numbers
 

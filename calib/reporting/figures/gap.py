@@ -60,6 +60,8 @@ class GapArrays:
         c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
         offset = np.column_stack((c * along - sn * lateral, sn * along + c * lateral))
         known, columns = bool(np.isfinite(offset).any()), covariate_values(observations).items()
+        # beside windows a whole recording has none
+        ends = [None if posed or not observations.windowed else 1 for posed in usable[:, Channel.ALONG]]
         before, after, noise_level = (
             np.where(usable, part, np.nan) for part in (held_out.before, held_out.after, held_out.floor)
         )
@@ -70,7 +72,7 @@ class GapArrays:
             after=after,
             noise_level=noise_level,
             covariates={name: column.astype(np.float64) for name, column in columns if column.dtype.kind == "f"},
-            paths_m=tuple(trace[:, :2] for trace in nominal.traces()) if known else (),
+            paths_m=tuple(t[:end, :2] for t, end in zip(nominal.traces(), ends, strict=True)) if known else (),
             offset_m=offset if known else None,
         )
 

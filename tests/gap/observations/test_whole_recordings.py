@@ -13,6 +13,7 @@ from calib.campaign.settings import Encoder
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.observations.arrays import Channel
 from calib.gap.observations.from_campaign import observations_of
+from calib.reporting.figures.gap import GapArrays
 from calib.vehicle import Vehicle
 from tests.kinematics.campaigns import Leg, Truth, campaign
 
@@ -76,6 +77,9 @@ def test_a_steering_zero_shows_beside_windows(zero_rad: float, diagnosing: Diagn
     if zero_rad:
         low, high = found.causes[0].parameters["zero"].ci95
         assert low < zero_rad < high and high - low < 0.2 * zero_rad
+    # the floor plan has the windows' paths, whose gap it shows
+    drawn = [len(path) > 1 for path in GapArrays.of(found).paths_m]
+    np.testing.assert_array_equal(drawn, found.observations.usable[:, Channel.ALONG])
 
 
 def test_a_laser_tells_the_scale_of_the_reference_that_made_the_windows(diagnosing: Diagnosing) -> None:
