@@ -125,6 +125,7 @@ def test_a_scale_that_closed_squares_do_not_see_is_held_and_has_no_interval() ->
     assert found.scaled == found.ratios == () and "mean_radius_m" not in found.to_dict()["held"]
 
 
+@pytest.mark.usefixtures("undrawn", "estimated_once")
 def test_runs_without_a_law_give_a_report_of_the_geometry(
     squares: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
