@@ -62,6 +62,7 @@ def test_same_input_and_date_give_the_same_bytes(pdf: bytes, source: Source) -> 
     assert to_pdf(compose(source)) == pdf
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_another_date_changes_the_bytes_and_stands_in_the_document(report: Report, pdf: bytes) -> None:
     later = to_pdf(replace(report, issued="2026-04-01"))
     assert later != pdf
