@@ -53,7 +53,7 @@ def test_an_amplitude_from_peak_to_peak_or_halved_fails_with_its_factor(stated: 
 
 
 def test_amplitudes_as_they_are_alarm_as_often_as_stated() -> None:
-    """One in a hundred is a remark: of 40 three once in 130 times; errors of a tenth of each amplitude forbid no law."""
+    """One in a hundred is a remark: of 40 three once in 130; errors of a tenth of each amplitude forbid no law."""
     levels = [check.level for seed in range(40) if (check := found(woven(seed=seed)))]
     assert len(levels) == 40
     assert levels.count(NOTE) <= 2
