@@ -21,7 +21,6 @@ from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.part import _parted, is_named_beside, sure_part
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.library import REGISTRY
 from calib.gap.inference.local_search import EVEN_PROBABILITY
 from tests.gap import workshop
 from tests.real import recordings
@@ -164,10 +163,7 @@ def test_a_real_recording_is_no_worse_with_its_law_and_track_than_it_was_by_itse
         track_m=written.geometry.track_m,
         reference_load_N=written.law.left.reference_load_N,
     )
-    # of all effects those that were named, and what the recording has of its own beside them
-    sought = {"load_radius", "curve_scrub", "session_step", "reference_lever_arm", "payload_mass"}
-    others = tuple(name for name in REGISTRY if name not in sought)
-    again = diagnose_in_full(replace(campaign, model=model), exclude=others, plan=False)
+    again = diagnose_in_full(replace(campaign, model=model), plan=False)
     assert "load_radius" not in {one.effect for one in again.causes}
     assert again.closure.before_rms_m is not None
     # less is left than the recording has of its own, whose scrub the recalibration takes in part
