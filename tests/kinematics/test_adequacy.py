@@ -284,6 +284,6 @@ def test_a_reference_computed_from_the_counts_is_none_however_it_was_rounded(tmp
     for run in recording.runs:
         run.log |= {name: np.round(run.log[name], 4) for name in ("ref_x_m", "ref_y_m")}
         run.log["ref_theta_rad"] = np.round(run.log["ref_theta_rad"], 5)
-    found = estimate_geometry(read_campaign(plant.write(recording, tmp_path / "c")), using="windows")
+    found = estimate_geometry(read_campaign(plant.write(recording, tmp_path / "c")))
     assert found.verdict is not GeometryVerdict.CALIBRATED
     assert "computed from the counts" in " ".join(found.why)
