@@ -2,7 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
 import pytest
+
+if TYPE_CHECKING:
+    from calib.gap.decision.diagnosis import Diagnosis
+    from calib.kinematics.result import Geometry
+
+
+@pytest.fixture(scope="module", autouse=True)
+def computed_once(diagnosing: Callable[..., Diagnosis], estimating: Callable[..., Geometry]) -> Iterator[None]:
+    """Let all commands share diagnoses and geometries: how these are made is the tests' of `gap` and `kinematics`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.gap.diagnose.diagnose_in_full", diagnosing)
+        patch.setattr("calib.kinematics.estimate.estimate_geometry", estimating)
+        yield
 
 
 @pytest.fixture

@@ -14,7 +14,6 @@ from calib.cli.main import run
 from calib.gap.decision.diagnosis import VerdictKind
 from tests.campaign.making import campaign, with_log_columns, with_numbers
 
-pytestmark = pytest.mark.usefixtures("diagnosed_once")
 FIELDS = {
     "verdict",
     "causes",

@@ -9,7 +9,6 @@ import pytest
 
 from calib.cli.main import run
 
-pytestmark = pytest.mark.usefixtures("diagnosed_once")
 PLAN = """
 format = "calib-plan/1"
 name = "first idea"

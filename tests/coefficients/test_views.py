@@ -120,7 +120,7 @@ def test_exported_bands_cover_what_they_say(session_um: float) -> None:
 
     Where sessions do not scatter the mean's band holds more: it is never narrower than that of independent runs.
     """
-    campaigns, rng, at = 200, np.random.default_rng(5), np.array([300.0, 675.0, 1000.0])
+    campaigns, rng, at = 100, np.random.default_rng(5), np.array([300.0, 675.0, 1000.0])
     load, session = np.tile([300.0, 500.0, 800.0, 1100.0], 12), np.repeat(np.arange(4), 12)
     held = np.zeros((2, len(at)))
     for _ in range(campaigns):
@@ -139,10 +139,10 @@ def test_exported_bands_cover_what_they_say(session_um: float) -> None:
             # the digits of the table
             np.testing.assert_allclose(half, 0.5 * np.diff(band(at), axis=0)[0], rtol=SIX_DIGITS)
             held[number] += np.abs(truth - middle) < half
-    # standard error of 200 campaigns 1.5 %; three of them
+    # standard error of 100 campaigns 2.2 %; three of them
     covered = held / campaigns
-    np.testing.assert_allclose(covered[1], 0.95, atol=0.046)
-    np.testing.assert_allclose(np.minimum(covered[0], 1.0 if session_um else 0.95), 0.95, atol=0.046)
+    np.testing.assert_allclose(covered[1], 0.95, atol=0.066)
+    np.testing.assert_allclose(np.minimum(covered[0], 1.0 if session_um else 0.95), 0.95, atol=0.066)
 
 
 def test_a_load_valid_for_no_wheel_gets_no_row(file: CoefficientFile) -> None:

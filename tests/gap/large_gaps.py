@@ -21,6 +21,7 @@ import numpy as np
 
 import calib
 from calib.challenge.score import wilson
+from calib.gap.diagnose import diagnose_in_full
 from calib.types import FloatArray
 
 TRACK_M, RADIUS_M, COUNTS_PER_REV, STEP_S = 0.70, 0.10, 4096.0, 0.1
@@ -257,7 +258,7 @@ def answer(number: int, seed: int) -> Answer:
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) / "campaign"
         signal = write(case, seed, folder)
-        verdict = calib.diagnose(calib.read(folder)).to_dict()
+        verdict = diagnose_in_full(calib.read(folder), plan=False).to_dict()
     closure = verdict["closure"]
     closed = float(closure["fraction"]) if closure and closure["fraction"] is not None else float("nan")
     return Answer(

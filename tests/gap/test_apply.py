@@ -31,7 +31,7 @@ from tests.gap.effects.making import Motion, Run, rich_runs
 from tests.gap.effects.making import campaign as campaign_of
 
 
-def campaign_with(effect: str, times: float = 3.0, seed: int = 3, n_runs: int = 60) -> Campaign:
+def campaign_with(effect: str, times: float = 3.0, seed: int = 3, n_runs: int = 40) -> Campaign:
     """Return a campaign of several tests, driven once; nobody changes it."""
     return _driven(effect, times, seed, n_runs)
 
@@ -219,7 +219,7 @@ def test_an_effect_that_has_nothing_to_act_on_is_said() -> None:
 def test_what_a_vehicle_has_of_the_file_alone_is_said_beside_what_the_effects_add() -> None:
     """By the replay's own odometry; a scrubbing track is no better by a fixed track and radii, and by its effect is."""
     rng = np.random.default_rng(2)
-    made = make_campaign(good_design(rng, n_runs=60, needs=find("curve_scrub", "").needs), {"curve_scrub": 2e-2}, rng)
+    made = make_campaign(good_design(rng, n_runs=40, needs=find("curve_scrub", "").needs), {"curve_scrub": 2e-2}, rng)
     found = diagnose_in_full(made, plan=False)
     assert [cause.effect for cause in found.causes] == ["curve_scrub"]
     file = applied_model(found, made)
@@ -237,7 +237,7 @@ def test_a_payload_that_stands_elsewhere_is_entered_there() -> None:
     """Its loads are wrong, no radius is: the written radii change nothing."""
     rng = np.random.default_rng(4)
     form = find("payload_position", "")
-    made = make_campaign(good_design(rng, n_runs=60, needs=form.needs), {"payload_position": 3 * form.typical}, rng)
+    made = make_campaign(good_design(rng, n_runs=40, needs=form.needs), {"payload_position": 3 * form.typical}, rng)
     found = diagnose_in_full(made, plan=False)
     (size,) = next(cause for cause in found.causes if cause.effect == "payload_position").parameters.values()
     advice = on_vehicle(applied_model(found, made), found, made)[-1]
@@ -245,7 +245,7 @@ def test_a_payload_that_stands_elsewhere_is_entered_there() -> None:
 
 
 def test_without_a_cause_there_is_nothing_to_write() -> None:
-    campaign = campaign_with("track_width", 0.0, n_runs=40)
+    campaign = campaign_with("track_width", 0.0)
     found = diagnose_in_full(campaign, plan=False)
     assert found.kind is VerdictKind.NO_GAP
     with pytest.raises(RefusedError, match="no effect to add"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +110,7 @@ def test_axes_are_found_beside_a_model_that_has_effects(project_root: Path) -> N
 
 def test_a_mirrored_reference_may_be_swapped_wheels_and_is_said_to_be(project_root: Path) -> None:
     """The two are the same to any data of two wheels: the advice names both."""
-    both = struck(project_root, lambda columns: {**mirrored(columns), **clockwise(columns)}, every=6)
+    both = struck(project_root, lambda columns: {**mirrored(columns), **clockwise(columns)}, every=8)
     cause = diagnose_in_full(both, plan=False).causes[0]
     assert (cause.effect, cause.form) == ("encoder_gross", "swapped wheels")
     assert "y to the left" in cause.remark
@@ -126,7 +127,9 @@ def test_missing_loads_are_not_to_be_corrected_before_what_takes_runs_so_far_off
     assert "no wheel load" not in verdict.sentence
 
 
-def sound(seed: int, n_runs: int = 30) -> Campaign:
+@cache
+def sound(seed: int, n_runs: int = 20) -> Campaign:
+    """Return a campaign without a gap, made once; nobody changes it."""
     rng = np.random.default_rng(seed)
     return make_campaign(good_design(rng, n_runs=n_runs), {}, rng)
 
@@ -160,7 +163,7 @@ def test_runs_recorded_twice_are_one_measurement(digit: float) -> None:
 
 def test_runs_driven_alike_are_no_copies() -> None:
     """The same counts, as of a plan that is followed exactly, and readings of their own: repeats."""
-    once = sound(0)
+    once = sound(0, 12)
     both = once.select(np.repeat(np.arange(len(once.runs)), 2))
     # half of the stated uncertainty to either side
     apart = 0.5 * once.reference.sigma_xy_m * np.tile([-1.0, 1.0], len(once.runs))
@@ -170,10 +173,10 @@ def test_runs_driven_alike_are_no_copies() -> None:
     assert not any("count once" in note for note in diagnose_in_full(repeats, plan=False).notes)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_no_gap_beside_a_run_that_no_noise_takes_so_far_is_no_all_clear(seed: int) -> None:
-    """One end pose of 48 is mistyped by 0.1 m: the others show no gap, and that run is to be corrected first."""
-    right = sound(seed, 48)
+    """One end pose of 32 is mistyped by 0.1 m: the others show no gap, and that run is to be corrected first."""
+    right = sound(seed, 32)
     x_m = right.runs.numbers["ref_x_m"].copy()
     x_m[7] += 0.1
     verdict = diagnose_in_full(with_numbers(right, ref_x_m=x_m), plan=False)

@@ -102,7 +102,7 @@ def test_play_is_named_along_the_path_of_a_car(play_rad: float, tmp_path: Path) 
 ROUTE = [(2.0, 0.0), (0.0, 0.0), (1.0, 1.5), (0.0, -2.0), (3.0, 0.5), (0.0, 0.0), (1.5, -2.5), (0.5, 1.0)]
 
 
-def recorded(truth: Truth, samples: int = 600) -> Campaign:
+def recorded(truth: Truth, samples: int = 300) -> Campaign:
     """Return four recordings of a minute, two of them mirrored."""
     routes = [("route", [(way, sense * turn) for way, turn in ROUTE]) for sense in (1, -1, 1, -1)]
     rng = np.random.default_rng(1)

@@ -292,7 +292,7 @@ def test_an_interval_holds_what_an_open_parameter_leaves() -> None:
         np.random.default_rng(11),
         along=True,
         # the mean radius is as open with any number of them
-        samples=60,
+        samples=30,
     )
     found = estimate_geometry(made, using="windows")
     track = found["track_m"]

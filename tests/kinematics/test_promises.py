@@ -71,7 +71,9 @@ def test_runs_driven_promise_what_geometry_says_of_them() -> None:
     driven = read_campaign("sample_runs/corridor_crossed").included()
     driven = driven.select(np.arange(0, len(driven.runs), 2))
     said = {one.name: one.half_width for one in estimate_geometry(driven).estimates}
-    plan = proposed(driven, most=1, seed=0)
+    # which runs are proposed is not looked at
+    among = [PlannedRun("square_cw")]
+    plan = proposed(driven, among=among, most=1, seed=0)
     assert plan.now is not None
     assert {one.name: one.half_width for one in plan.now.estimates} == said
     found = replace(driven.model, **{one.name: one.value for one in plan.now.estimates})
@@ -80,7 +82,7 @@ def test_runs_driven_promise_what_geometry_says_of_them() -> None:
     # without end headings the lengths are left, and no wandering of the heading is seen
     numbers = {name: column for name, column in driven.runs.numbers.items() if not name.startswith("ref_")}
     lengths = replace(driven, runs=replace(driven.runs, numbers=numbers), logs=Logs.empty(len(driven.runs)))
-    plan = proposed(lengths, most=1, seed=0)
+    plan = proposed(lengths, among=among, most=1, seed=0)
     assert plan.now is not None
     assert plan.now.undetermined == ("track_m",)
     assert plan.now.scales[2] == first_scales(lengths.reference)[2]
@@ -131,7 +133,7 @@ def test_what_a_driven_campaign_promises_is_found_once_the_next_runs_are_driven(
         Dimensions(CORRIDOR_M),
         [],
     )
-    for seed in range(4):
+    for seed in range(2):
         _, made = simulated(lab, np.random.default_rng([seed, 78]))
         driven = made.select(np.arange(len(made.runs)) < 32)
         found = estimate_geometry(driven)
@@ -141,7 +143,7 @@ def test_what_a_driven_campaign_promises_is_found_once_the_next_runs_are_driven(
         then = promised(joined(driven, planned), now.scales).after(now, promised(driven, now.scales))
         after = {one.name: one.half_width for one in estimate_geometry(made).estimates}
         ratios += [after[one.name] / one.half_width for one in then.estimates]
-    assert len(ratios) == 12 and max(np.abs(np.array(ratios) - 1.0)) < NEAR, ratios
+    assert len(ratios) == 6 and max(np.abs(np.array(ratios) - 1.0)) < NEAR, ratios
 
 
 def test_degrees_of_freedom_are_those_of_the_interval() -> None:

@@ -249,7 +249,7 @@ def test_the_interval_of_a_difference_holds_both_uncertainties() -> None:
 def test_two_campaigns_of_one_wheel_disagree_in_one_comparison_of_twenty() -> None:
     load, session = np.tile([300.0, 500.0, 800.0, 1100.0], 12), np.repeat(np.arange(4), 12)
     rng, fits = np.random.default_rng(8), []
-    for _ in range(300):
+    for _ in range(200):
         radius = 0.1 - 1.2e-6 * load + rng.normal(0, 5e-6, 4)[session] + rng.normal(0, 1.9e-5, 48)
         fits.append(fit_wheel("left", load, radius, session, reference_load_N=300.0))
     # two comparisons at a time, as of a left and a right wheel: radius and slope of each
@@ -258,8 +258,8 @@ def test_two_campaigns_of_one_wheel_disagree_in_one_comparison_of_twenty() -> No
         for one, of_one, two, of_two in zip(*(fits[start::4] for start in range(4)), strict=True)
     ]
     outside = np.mean(np.reshape([[not part.inside for part in four] for four in compared], (-1, 2)), axis=0)
-    # standard error of 150 comparisons 1.8 %; three of them. With the fit's own interval 13 and 17 %
-    np.testing.assert_allclose(outside, 0.05, atol=0.054)
+    # standard error of 100 comparisons 2.2 %; three of them. With the fit's own interval 13 and 17 %
+    np.testing.assert_allclose(outside, 0.05, atol=0.066)
 
 
 def test_the_range_is_said_as_the_file_has_it(fit: Fit) -> None:

@@ -48,10 +48,10 @@ def test_a_sum_of_two_cauchy_variates_is_one_with_the_sum_of_their_scales() -> N
 
 @pytest.mark.parametrize("name", ["confounded+", "crossed"])
 def test_intervals_of_whole_campaigns_hold_the_truth(name: str) -> None:
-    """100 campaigns of two wheels; `python -m tests.radius.coverage` does 2,000, and the other designs."""
-    shares = coverage(DESIGNS[name], 100, seed=7)
-    # standard error 1.54 % of 200 intervals; three of them
-    np.testing.assert_allclose(shares[:2], 0.95, atol=0.046)
+    """60 campaigns of two wheels; `python -m tests.radius.coverage` does 2,000, and the other designs."""
+    shares = coverage(DESIGNS[name], 60, seed=7)
+    # standard error 2 % of 120 intervals; three of them
+    np.testing.assert_allclose(shares[:2], 0.95, atol=0.06)
 
 
 def test_counting_runs_as_independent_claims_too_much_where_sessions_scatter() -> None:

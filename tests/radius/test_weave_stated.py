@@ -53,12 +53,12 @@ def test_an_amplitude_from_peak_to_peak_or_halved_fails_with_its_factor(stated: 
 
 
 def test_amplitudes_as_they_are_alarm_as_often_as_stated() -> None:
-    """One in a hundred is a remark; errors of a tenth of each amplitude forbid no law."""
-    levels = [check.level for seed in range(60) if (check := found(woven(seed=seed)))]
-    assert len(levels) == 60
-    assert levels.count(NOTE) <= 3
+    """One in a hundred is a remark: of 40 three once in 130; errors of a tenth of each amplitude forbid no law."""
+    levels = [check.level for seed in range(40) if (check := found(woven(seed=seed)))]
+    assert len(levels) == 40
+    assert levels.count(NOTE) <= 2
     assert set(levels) <= {OK, NOTE}
-    rough = [found(woven(read=0.1, seed=seed)) for seed in range(30)]
+    rough = [found(woven(read=0.1, seed=seed)) for seed in range(20)]
     assert not any(check is not None and check.level == FAILED for check in rough)
 
 

@@ -37,7 +37,9 @@ def test_a_manipulation_changes_the_data_as_it_says(shared_data: Path) -> None:
 def test_strong_manipulations_of_a_straight_line_are_named(shared_data: Path) -> None:
     """A temperature and a further column that drive the radii are named first, on real noise, and never `no_gap`."""
     name = "straightline_laser"
-    base, own, covariance = calibrated(BASES[name][0](shared_data))
+    whole = BASES[name][0](shared_data)
+    # every second way out and back: the effects show at four standard deviations yet
+    base, own, covariance = calibrated(whole.select(np.arange(len(whole.runs)) // 2 % 2 == 0))
     wanted = {"temperature, 6e-4 per K", "a further column"}
     for manipulation in (each for each in CORRIDOR if each.name in wanted):
         outcome = outcome_of(name, base, own, covariance, manipulation)

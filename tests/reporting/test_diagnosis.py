@@ -87,6 +87,7 @@ def test_missing_values_are_dashes_not_failures(source: Source) -> None:
     assert "nan" not in text
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_with_a_diagnosis_is_set(source: Source) -> None:
     made = compose(with_findings(source))
     assert to_pdf(made).startswith(b"%PDF")

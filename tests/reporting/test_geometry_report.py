@@ -125,10 +125,14 @@ def test_a_scale_that_closed_squares_do_not_see_is_held_and_has_no_interval() ->
     assert found.scaled == found.ratios == () and "mean_radius_m" not in found.to_dict()["held"]
 
 
+@pytest.mark.usefixtures("undrawn", "estimated_once")
 def test_runs_without_a_law_give_a_report_of_the_geometry(
     squares: Campaign, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Command and function write the same PDF, the page too; what follows is named, and that no law is stated."""
+    """Command and function write the same PDF, the page too; what follows is named, and that no law is stated.
+
+    Of one geometry, figures left blank: both are the same each time by the tests of their own.
+    """
     folder = write_campaign(squares, tmp_path / "c")
     pdf, page = tmp_path / "report.pdf", tmp_path / "report.html"
     assert calib(["report", str(folder), "--into", str(pdf), "--html", str(page), "--date", "2026-01-01"]) == 0

@@ -21,7 +21,7 @@ MISSING, TWICE, SWAPPED = 7, 15, 12
 PREAMBLE = """Datenlogger DL-8, Firmware 2.1
 Seriennummer: 12-345
 Fahrzeug: FTF 3; Messstelle: Halle 3
-Kanäle: 3, Abtastrate: 20 Hz
+Kanäle: 3, Abtastrate: 10 Hz
 Bediener: M. Weber
 
 """
@@ -37,7 +37,7 @@ class Lab:
 
 
 def _truth(seed: int) -> Campaign:
-    truth = campaign(runs_per_load=5, rate_hz=20.0, seed=seed)
+    truth = campaign(runs_per_load=5, rate_hz=10.0, seed=seed)
     return truth.select(np.arange(N_RUNS))
 
 

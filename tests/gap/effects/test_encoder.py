@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +29,20 @@ def planted(change: Change, made: Campaign) -> Campaign:
     return replace(made, runs=replace(made.runs, numbers=numbers), logs=replace(made.logs, columns=columns))
 
 
+@cache
+def rich() -> Campaign:
+    """Return rich runs without an effect, made once; nobody changes them."""
+    return campaign(rich_runs())
+
+
+@cache
+def sample_of(root: Path, name: str) -> Campaign:
+    """Return a sample campaign, read once; nobody changes it."""
+    return read_campaign(root / "sample_runs" / name)
+
+
 def found(change: Change, made: Campaign | None = None) -> Blunder | None:
-    s = observations_of(planted(change, made or campaign(rich_runs())))
+    s = observations_of(planted(change, made or rich()))
     return find_blunder(s, predict(s))
 
 
@@ -52,16 +65,14 @@ def test_counts_per_revolution_taken_for_another_are_named_whatever_the_loads(
     sample: str, factor: float, project_root: Path
 ) -> None:
     """Of 40 m under unequal loads the end lies metres aside and a quarter radian turned with the right counts, too."""
-    fault = found(
-        lambda left, right: (left * factor, right * factor), read_campaign(project_root / "sample_runs" / sample)
-    )
+    fault = found(lambda left, right: (left * factor, right * factor), sample_of(project_root, sample))
     assert fault is not None
     assert (fault.left, fault.right) == pytest.approx((1 / factor, 1 / factor))
 
 
 @pytest.mark.parametrize("sample", ["corridor", "corridor_crossed", "yard"])
 def test_samples_with_the_right_counts_have_no_fault(sample: str, project_root: Path) -> None:
-    assert found(lambda left, right: (left, right), read_campaign(project_root / "sample_runs" / sample)) is None
+    assert found(lambda left, right: (left, right), sample_of(project_root, sample)) is None
 
 
 def test_swapped_wheels_are_named() -> None:
@@ -97,7 +108,7 @@ def test_a_steering_angle_of_the_other_sign_is_named_and_corrected(drive: str) -
 
 def test_counts_put_right_leave_no_gap() -> None:
     """Swapped and halved counts, corrected, predict what was measured."""
-    s = observations_of(planted(lambda left, right: (right * 0.5, left * 0.5), campaign(rich_runs())))
+    s = observations_of(planted(lambda left, right: (right * 0.5, left * 0.5), rich()))
     right = predict(corrected(s, Blunder("", 2.0, 2.0, swapped=True)))
     # exact arcs within steps of 2 cm on routes of kinked curvature
     np.testing.assert_allclose(residuals(right, right)[:, :4], 0.0, atol=2e-3)
@@ -129,4 +140,4 @@ def test_an_outside_simulator_has_no_counts_to_put_right() -> None:
     """Where the gap is another simulator's, factors of the counts do not enter it."""
     from tests.gap.effects.making import with_outside_simulator
 
-    assert found(lambda left, right: (left * 2, right * 2), with_outside_simulator(campaign(rich_runs()))) is None
+    assert found(lambda left, right: (left * 2, right * 2), with_outside_simulator(rich())) is None

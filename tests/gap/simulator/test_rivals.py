@@ -61,11 +61,14 @@ def commands(kind: str, speed_mps: float) -> np.ndarray:
 
 def rolled(asked: np.ndarray, p: Mapping[str, float]) -> np.ndarray:
     """Way of each wheel in each step, (n, 2): motors follow by a first order."""
-    now, way = np.zeros(2), np.empty_like(asked)
-    gain, lag = (np.array([p[f"{what}_left"], p[f"{what}_right"]]) for what in ("gain", "lag"))
-    for number, speed in enumerate(asked):
-        now = now + (gain * speed - now) * (1.0 - np.exp(-DT_S / lag))
-        way[number] = now * DT_S
+    way = np.empty_like(asked)
+    for wheel, side in enumerate(("left", "right")):
+        # plain numbers: some hundred thousand steps a diagnosis
+        now, share, speeds = 0.0, float(1.0 - np.exp(-DT_S / p[f"lag_{side}"])), []
+        for speed in (p[f"gain_{side}"] * asked[:, wheel]).tolist():
+            now += (speed - now) * share
+            speeds.append(now)
+        way[:, wheel] = DT_S * np.array(speeds)
     return way
 
 

@@ -72,11 +72,14 @@ def log_of(kind: str, speed_mps: float) -> np.ndarray:
 
 def motion(log: np.ndarray, p: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
     """Return way and turn of the rear axle's middle in each step."""
-    steer, at, late = np.empty(len(log)), log[0, 2], log[0, 2] + p["zero"]
-    for number, asked in enumerate(log[:, 2]):
-        at = min(max(at, asked - 0.5 * p["play"]), asked + 0.5 * p["play"])
-        late += (at + p["zero"] - late) * (1.0 - np.exp(-DT_S / p["lag"]))
-        steer[number] = late
+    # plain numbers: some hundred thousand steps a diagnosis
+    at, half, zero, share = float(log[0, 2]), 0.5 * p["play"], p["zero"], float(1.0 - np.exp(-DT_S / p["lag"]))
+    late, steps = at + zero, []
+    for asked in log[:, 2].tolist():
+        at = min(max(at, asked - half), asked + half)
+        late += (at + zero - late) * share
+        steps.append(late)
+    steer = np.array(steps)
     way = np.diff(log[:, 1]) * 2 * np.pi / COUNTS * p["front_radius"]
     middle = 0.5 * (steer[1:] + steer[:-1]) * p.get("gain", 1.0)
     return way * np.cos(middle), way * np.sin(middle) / p["wheelbase"]

@@ -87,7 +87,7 @@ def test_paths_gap_and_noise_of_every_run(diagnosed_sample: Diagnosed) -> None:
 
 
 def test_the_same_diagnosis_gives_the_same_bytes(diagnosed_sample: Diagnosed) -> None:
-    campaign, diagnosis = diagnosed_sample("corridor")
+    campaign, diagnosis = diagnosed_sample("yard")
     first, second = (mcap_paths.recording(mcap_paths.shown_runs(campaign, diagnosis)) for _ in range(2))
     assert first == second
 

@@ -41,10 +41,10 @@ PARTICLES, SAMPLED = 10_000, 0.07
 RUNS, SEEN = 400, 0.11
 #: predicted spread and that of runs held out, relative: what the export has to meet
 WITHIN = 0.1
-#: campaigns of a study: their mean is known to 1.5 %; three standard errors of the coverage of 95 % in so many
-CAMPAIGNS, MISSED = 60, 0.085
+#: campaigns of a study: their mean is known to 2 %; three standard errors of the coverage of 95 % in so many
+CAMPAIGNS, MISSED = 30, 0.12
 #: campaigns of one fit each
-SHORT = 60
+SHORT = 30
 
 
 def _path(length_m: float, turns: list[tuple[float, float]]) -> np.ndarray:
