@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
 from calib.gap.observations.observation import let_go, step_array
-from calib.types import BoolArray, FloatArray
+from calib.types import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,8 +125,6 @@ X, Y, TURN, LINE, WAY = range(5)
 N_SUMS: Final = 5
 #: a pose read ahead of the counts lies on the motion of their last tenth of a second
 EXTRAPOLATED_S: Final = 0.1
-#: mean speed of a last step over that at its beginning: one half where it brakes to a stand, one at constant speed
-HALT_SHARE: Final = 0.75
 #: where not even one step in so many has a part, the others are passed over
 SPARSE_SHARE: Final = 4
 
@@ -243,18 +241,8 @@ class Steps:
         within = np.where(delay_s < 0.0, EXTRAPOLATED_S, delay_s)
         with np.errstate(divide="ignore", invalid="ignore"):
             share = np.nan_to_num(np.clip(within[s.unit] - age_s, 0.0, duration) / duration)
-            share = np.where(self._halts, share**2, share)
             factor = np.where(delay_s < 0.0, delay_s / EXTRAPOLATED_S, 1.0)
         return factor * s.total(share * self.ds_m), factor * s.total(share * self.turn_rad)
-
-    @property
-    def _halts(self) -> BoolArray:
-        """Whether an observation brakes to a stand in a step, its last, by the mean speed there and one step earlier."""
-        s, way_m = self.s, np.abs(self.ds_m)
-        before = np.maximum(np.arange(len(way_m)) - 1, s.starts[s.unit])
-        both_s = s.duration_s + s.duration_s[before]
-        halts = way_m * both_s < HALT_SHARE * (way_m + way_m[before]) * s.duration_s
-        return np.asarray(halts & (np.arange(len(way_m)) == s.starts[1:][s.unit] - 1))
 
     def sums(self, perturbation: Perturbation) -> FloatArray:
         """Return what a perturbation adds to the sums of each observation, to first order, shape (5, n_obs)."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +10,7 @@ from hypothesis import strategies as st
 from calib.gap.observations.arrays import POSE, Channel
 from calib.gap.predict import predict, residuals, signature
 from calib.gap.steps import Perturbation, total_perturbation
-from tests.gap.effects.making import MODEL, SQUARE, TRACK_M, Motion, Run, end_pose, rich_runs, situation, steps_of
+from tests.gap.effects.making import SQUARE, TRACK_M, Motion, Run, end_pose, rich_runs, situation, steps_of
 
 LINE = [(12.0, 0.0)]
 RUNS = 12
@@ -99,22 +97,6 @@ def test_a_push_by_units_is_the_same_as_one_by_steps(field: str) -> None:
     by_steps = signature(path, Perturbation(**{field: values[s.unit]}))
     # the same sums in another order
     np.testing.assert_allclose(by_units, by_steps, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.parametrize(("braking_mps2", "lag_m"), [(0.0, 0.5 * 0.08), (0.5, 0.5 * 0.5 * 0.08**2)])
-def test_a_reading_from_before_the_end_lags_by_speed_and_delay_or_by_what_braking_left(
-    braking_mps2: float, lag_m: float
-) -> None:
-    """At constant speed v tau; braking to a stand within the log's last 0.1 s, a tau^2 / 2."""
-    s = situation([Run(LINE, steps=100) for _ in range(RUNS)])
-    left_s = 0.1 * np.arange(100, 0, -1) - 0.05
-    speed_mps = np.minimum(0.5, braking_mps2 * left_s) if braking_mps2 else np.full(100, 0.5)
-    roll_rad = np.tile(0.1 * speed_mps / MODEL.radius_left_m, RUNS)
-    time_s = np.tile(0.1 * np.arange(1.0, 101.0), RUNS)
-    s = replace(s, roll_left_rad=roll_rad, roll_right_rad=roll_rad, time_s=time_s, duration_s=np.full(100 * RUNS, 0.1))
-    way_m, turn_rad = predict(s).steps.motion_before_end(ones(0.08))
-    np.testing.assert_allclose(way_m, lag_m, rtol=1e-9)
-    np.testing.assert_allclose(turn_rad, 0.0, atol=1e-12)
 
 
 def test_pushes_add_up_whatever_their_shapes() -> None:
