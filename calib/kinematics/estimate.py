@@ -90,18 +90,24 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
     return by_windows
 
 
+#: in place of sizes that no solution has
+UNSOLVABLE: Final = (
+    "runs whose equations have no solution; expected counts, times and poses of one motion: run 'calib check', then "
+    "correct what it names"
+)
+
+
 def _estimated(task: "_Task", recording: Recording, *, asked: bool) -> Geometry:
     try:
         fit = _fitted(task, recording)
-    except np.linalg.LinAlgError as error:
-        if not recording.lengths_alone:
+    except (RefusedError, np.linalg.LinAlgError) as error:
+        corrected = None if recording.lengths_alone else _without_blunder(task, recording)
+        if corrected is not None:
+            return corrected.geometry
+        if isinstance(error, RefusedError):
             raise
-        raise RefusedError(f"geometry of {task.campaign.name!r}: found {LENGTHS_ALONE}") from error
-    except RefusedError:
-        corrected = _without_blunder(task, recording)
-        if corrected is None:
-            raise
-        return corrected.geometry
+        found = LENGTHS_ALONE if recording.lengths_alone else UNSOLVABLE
+        raise RefusedError(f"geometry of {task.campaign.name!r}: found {found}") from error
     # of lengths alone a bend makes up for any reading or sensor
     if recording.lengths_alone:
         asked = True
@@ -209,7 +215,10 @@ def _without_departure(fit: _Fit) -> Geometry:
     size = size if hidden else _refined(fit, departure, size)
     recording = replace(fit.fitted.model.recording, own_delay_s=None)
     for _ in range(SIZE_ROUNDS):
-        other = _fitted(fit.task, departure.change(recording, size), (fault := departure.named(size),))
+        try:
+            other = _fitted(fit.task, departure.change(recording, size), (fault := departure.named(size),))
+        except (RefusedError, np.linalg.LinAlgError):
+            return geometry
         still = blunder_search.hidden_clock(other.fitted.model.recording) if hidden and other.geometry.delays else None
         more = still[1] if still else blunder_search.score(other.fitted, departure)[1]
         corrected, most = other.geometry, min(abs(size), blunder_search.LARGEST_SIZE * abs(departure.step))

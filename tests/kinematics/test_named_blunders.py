@@ -92,9 +92,9 @@ def test_a_mirrored_reference_is_named_beside_swapped_wheels() -> None:
     assert "counts_left and counts_right" in text and "ref_y_m and ref_theta_rad are both mirrored" in text
 
 
-def twist(change: Callable[[Columns], Columns]) -> Campaign:
+def twist(change: Callable[[Columns], Columns], recordings: int = 4) -> Campaign:
     """Return recordings of v and omega by the nominal vehicle, changed, integrated as on reading."""
-    made = in_map(4, samples=300)
+    made = in_map(recordings, samples=300)
     per_count, track_m = (
         2.0 * np.pi * made.vehicle.wheel_radius_m / made.encoder.counts_per_rev_left,
         made.vehicle.track_m,
@@ -122,6 +122,13 @@ def test_speeds_are_named_by_their_own_columns(change: Callable[[Columns], Colum
     texts = named(estimate_geometry(twist(change)))
     assert set(texts) == {code} - {""}
     assert words in texts.get(code, "")
+
+
+def test_a_departure_whose_equations_have_no_solution_is_none() -> None:
+    """Two recordings in ms: a departure leaves no covariance; what was found stays, wrong by its sizes."""
+    found = estimate_geometry(twist(lambda log: log | {"t_s": 1e3 * log["t_s"]}, 2))
+    assert found.verdict == "wrong" and not found.passed
+    assert "check lengths, counts per revolution and units" in " ".join(found.why)
 
 
 def test_a_yaw_rate_in_degrees_is_named_by_its_column() -> None:
