@@ -90,24 +90,18 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
     return by_windows
 
 
-#: in place of sizes that no solution has
-UNSOLVABLE: Final = (
-    "runs whose equations have no solution; expected counts, times and poses of one motion: run 'calib check', then "
-    "correct what it names"
-)
-
-
 def _estimated(task: "_Task", recording: Recording, *, asked: bool) -> Geometry:
     try:
         fit = _fitted(task, recording)
-    except (RefusedError, np.linalg.LinAlgError) as error:
-        corrected = None if recording.lengths_alone else _without_blunder(task, recording)
-        if corrected is not None:
-            return corrected.geometry
-        if isinstance(error, RefusedError):
+    except np.linalg.LinAlgError as error:
+        if not recording.lengths_alone:
             raise
-        found = LENGTHS_ALONE if recording.lengths_alone else UNSOLVABLE
-        raise RefusedError(f"geometry of {task.campaign.name!r}: found {found}") from error
+        raise RefusedError(f"geometry of {task.campaign.name!r}: found {LENGTHS_ALONE}") from error
+    except RefusedError:
+        corrected = _without_blunder(task, recording)
+        if corrected is None:
+            raise
+        return corrected.geometry
     # of lengths alone a bend makes up for any reading or sensor
     if recording.lengths_alone:
         asked = True
