@@ -13,7 +13,6 @@ from typer.core import TyperCommand
 from calib.cli.terminal import FORCE, JSON_TARGET, Force, JsonTarget, refuse_outputs
 from calib.errors import BadInputError, inputs_kept, refuse_special
 from calib.io import refuse_empty
-from calib.reporting.blocks import catalogue
 
 #: parameters that say where something is written; every other path is an input
 OUTPUTS: Final = frozenset({"into", "output", "json", "json_target", "figures", "apply", "html", "tum", "plot"})
@@ -105,9 +104,39 @@ def _exists(text: str) -> bool:
 
 
 #: command or group -> its line in ``calib --help``, in this order, so that the list of commands imports none of them
-SUMMARIES: Final = catalogue()["command"]
+SUMMARIES: Final = {
+    "check": "Say what a campaign holds and what is wrong.",
+    "init": "Make an empty campaign to fill in.",
+    "ingest": "Make a campaign out of raw lab files.",
+    "fit": "Fit each wheel's radius against its load.",
+    "deviation": "Show what a woven path does to a radius.",
+    "report": "Write the calibration report as PDF.",
+    "export": "Write coefficients for vehicle or controller.",
+    "loads": "Compute static wheel loads from a payload.",
+    "simulate": "Simulate routes and loads; replay logged runs.",
+    "simulate route": "Drive a route with radii other than believed.",
+    "simulate journey": "Drive a route under a fitted law, load by load.",
+    "simulate study": "Run a study of the paper's Section 7.",
+    "simulate replay": "Replay a campaign's logged runs.",
+    "geometry": "Estimate radii, track and sensor together.",
+    "diagnose": "Say why the simulation differs from reality.",
+    "effects": "List the causes that a diagnosis knows.",
+    "plan": "Say which runs to drive next.",
+    "challenge": "Check the diagnosis blind, on sealed cases.",
+    "challenge make": "Make sealed cases.",
+    "challenge own": "Say what your own data would find.",
+    "challenge run": "Diagnose every case.",
+    "challenge score": "Open the truth and score.",
+    "fleet": "Calibrate many vehicles at once.",
+    "fleet run": "Do a task for every vehicle of a folder.",
+    "fleet simulate": "Make a fleet with known truth.",
+}
 #: group -> the example that its help shows
-GROUPS: Final = catalogue()["group"]
+GROUPS: Final = {
+    "simulate": "Example: calib simulate study corrected --law sample_runs/corridor --output section7",
+    "challenge": "Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind",
+    "fleet": "Example: calib fleet vehicles --into fleet --workers 2",
+}
 #: commands, those of a group with the group's name before theirs
 COMMANDS: Final = tuple(name for name in SUMMARIES if name not in GROUPS)
 
