@@ -222,10 +222,11 @@ class Replay:
         return self.readings(act, level=level) - self.readings(None)
 
 
-def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
+def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray, FloatArray]:
     steps, n_units = replay.steps, len(replay.observations)
     now = Moment.at_rest(n_units)
     path = np.zeros(n_units)
+    poses = np.zeros((3, len(steps["time_s"]) + 1, n_units))
     angles = None
     if replay.observations.by_front:
         angles = true_angles(steps["steer_rad"], steps["time_s"], replay.last, world)
@@ -254,9 +255,25 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray]:
         now.y_m = now.y_m + chord * np.sin(middle) + drift * np.cos(middle)
         now.theta_rad = now.theta_rad + turn
         path += way
+        poses[:, step + 1] = now.x_m, now.y_m, now.theta_rad
     units = np.arange(n_units)
     now.v_mps, now.curvature_per_m = (steps[name][replay.last, units] for name in ("v_mps", "curvature_per_m"))
-    return now, path
+    return now, path, _seen(replay, poses[:, 1:], now, world.latency_s)
+
+
+def _seen(replay: Replay, poses: FloatArray, end: Moment, late_s: FloatArray) -> FloatArray:
+    """Return the pose of each unit as it was so long before its end, (3, n_units): one that brakes has moved little."""
+    from scipy.interpolate import PchipInterpolator
+
+    way_m, theta = late_s * end.v_mps, end.theta_rad
+    seen = [end.x_m - way_m * np.cos(theta), end.y_m - way_m * np.sin(theta), theta - way_m * end.curvature_per_m]
+    then = np.stack(seen)
+    for unit in np.flatnonzero(late_s > 0.0):
+        time_s = replay.steps["time_s"][: replay.last[unit] + 1, unit]
+        if len(time_s) > 1 and (np.diff(time_s) > 0.0).all():
+            pose = PchipInterpolator(time_s, poses[:, : len(time_s), unit], axis=1)
+            then[:, unit] = pose(max(time_s[-1] - late_s[unit], time_s[0]))
+    return then
 
 
 def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -268,14 +285,12 @@ def _steered(replay: Replay, world: World, step: int, true: FloatArray) -> tuple
     return ahead, way * (np.sin(true) - ahead * np.sin(read)) / wheelbase_m
 
 
-def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray) -> FloatArray:
+def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray, seen_late: FloatArray) -> FloatArray:
     x, y, theta = end.x_m, end.y_m, end.theta_rad
+    x_late, y_late, theta_late = seen_late
     axis = replay.observations.axis
     line = np.where(axis == 1, x, np.where(axis == 2, np.hypot(x, y), np.abs(path_m)))
     distance = world.laser_scale * line + world.laser_offset_m
-    theta_late = theta - world.latency_s * (end.v_mps * end.curvature_per_m)
-    x_late = x - world.latency_s * end.v_mps * np.cos(theta)
-    y_late = y - world.latency_s * end.v_mps * np.sin(theta)
     if replay.observations.windowed:
         v, omega = replay.steps["v_mps"][0], replay.steps["v_mps"][0] * replay.steps["curvature_per_m"][0]
         x_late, theta_late = x_late + world.latency_s * v, theta_late + world.latency_s * omega

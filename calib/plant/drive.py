@@ -18,7 +18,9 @@ _CREEP_MPS: Final = 0.02
 _PAUSE_S: Final = 0.8
 _BLOCK: Final = 128
 _SIDES: Final = np.array([[-1.0], [1.0]])
+#: what a frame holds, in order: motion, counts of three wheels, the vehicle's own odometry, the pose as it was
 _MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "steer_rad", "late_rad")
+_COUNTS, _ODO, _PAST, _SIZE = 8, 11, 15, 18
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,13 +41,15 @@ class Record:
     #: shape (3, n_frames, n_runs): counters left, right, front since the start; whole numbers where quantised
     counts: FloatArray
     odo: FloatArray  #: shape (4, n_frames, n_runs): the vehicle's own odometry: x, y, theta, path length
-    ends: FloatArray  #: shape (15, n_driven): last frame of every run, logged or not
+    past: FloatArray  #: shape (3, n_frames, n_runs): true x, y, theta the reference's latency ago
+    ends: FloatArray  #: shape (18, n_driven): last frame of every run, logged or not
 
     @staticmethod
     def of(frames: IntArray, stacked: FloatArray, ends: FloatArray) -> "Record":
-        """Return the record of frames (15, n_frames, n_runs); see `_Runs.frame`."""
-        motion = dict(zip(_MOTION, stacked[:8], strict=True))
-        return Record(frames=frames, **motion, counts=stacked[8:11], odo=stacked[11:15], ends=ends)
+        """Return the record of frames (18, n_frames, n_runs); see `_Runs.frame`."""
+        motion = dict(zip(_MOTION, stacked[:_COUNTS], strict=True))
+        counts, odo, past = stacked[_COUNTS:_ODO], stacked[_ODO:_PAST], stacked[_PAST:]
+        return Record(frames=frames, **motion, counts=counts, odo=odo, past=past, ends=ends)
 
     @property
     def end(self) -> "Record":
@@ -70,7 +74,7 @@ def drive(
     runs = _Runs(world, noise, quantise, step_s)
     kept = slice(logged)
     frames = [runs.frame(kept)]
-    final = np.zeros((len(frames[0]), len(design)))
+    final = np.zeros((_SIZE, len(design)))
     before_end = np.zeros(len(design), dtype=np.int64)
     longest = float(np.max(runs.tables.end_m / design.speed_mps + (design.stops + 2) * (_PAUSE_S + 6.0))) + 20.0
     for number in range(1, int(longest / step_s) + 1):
@@ -94,23 +98,27 @@ def drive(
     return Record.of(before_end[kept] + 1, np.where(behind, final[:, None, kept], stacked), final)
 
 
-class _PastAngles:
-    def __init__(self, delay_s: FloatArray, step_s: float) -> None:
+class _Past:
+    """Values of the steps so far, read each run's own delay ago: shape (n_values, n_runs)."""
+
+    def __init__(self, n_values: int, delay_s: FloatArray, step_s: float) -> None:
         back = delay_s / step_s
-        self.whole = np.floor(back).astype(np.int64)
+        self.whole = np.maximum(np.floor(back), 0.0).astype(np.int64)
         share = back - self.whole
         # a parabola: straight lines would cut every bend
         self.weights = np.stack([0.5 * (1 - share) * (2 - share), share * (2 - share), -0.5 * share * (1 - share)])
-        self.angles = np.zeros((int(self.whole.max(initial=0)) + 3, len(back)))  # before its start a run stands
+        # before its start a run stands
+        self.values = np.zeros((int(self.whole.max(initial=0)) + 3, n_values, len(back)))
         self.number = 0
 
-    def add(self, angle: FloatArray) -> None:
+    def add(self, *values: FloatArray) -> None:
         self.number += 1
-        self.angles[self.number % len(self.angles)] = angle
+        self.values[self.number % len(self.values)] = values
 
     def read(self, at: slice | IntArray) -> FloatArray:
-        places = (self.number - self.whole[at] - np.arange(3)[:, None]) % len(self.angles)
-        return np.asarray((self.weights[:, at] * self.angles[places, np.arange(len(self.whole))[at]]).sum(axis=0))
+        places = (self.number - self.whole[at] - np.arange(3)[:, None]) % len(self.values)
+        values = self.values[places, :, np.arange(len(self.whole))[at]]
+        return np.asarray((self.weights[:, at, None] * values).sum(axis=0).T)
 
 
 class _Runs:
@@ -144,19 +152,21 @@ class _Runs:
         # progress along the plan a metre of odometry: its cosine, over what a bend shortens
         self.ahead, self.bend = np.ones(n_runs), np.ones(n_runs)
         self.done = np.zeros(n_runs, dtype=bool)
-        self.past = _PastAngles(world.steer_delay_s, step_s)
+        self.past = _Past(1, world.steer_delay_s, step_s)
+        self.past_poses = _Past(3, world.latency_s, step_s) if world.latency_s.any() else None
 
     def frame(self, at: slice | IntArray) -> FloatArray:
-        """Return what a record has of these runs now, shape (15, n_runs)."""
+        """Return what a record has of these runs now, shape (18, n_runs)."""
         now, counted = self.now, self.angle[:, at] * self.per_rad
         if self.quantise:
             counted = np.floor(counted + self.noise.phase[:, at])
-        late = self.past.read(at)
-        frame = np.empty((15, len(late)))
+        late = self.past.read(at)[0]
+        frame = np.empty((_SIZE, len(late)))
         frame[0], frame[1], frame[2], frame[3] = now.t_s, now.x_m[at], now.y_m[at], now.theta_rad[at]
         frame[4] = now.v_mps[at]
         frame[5] = frame[4] * now.curvature_per_m[at]
-        frame[6], frame[7], frame[8:11], frame[11:] = self.steering[at], late, counted, self.odo[:, at]
+        frame[6], frame[7], frame[_COUNTS:_ODO], frame[_ODO:_PAST] = self.steering[at], late, counted, self.odo[:, at]
+        frame[_PAST:] = frame[1:4] if self.past_poses is None else self.past_poses.read(at)
         return frame
 
     def steer(self) -> FloatArray:
@@ -222,6 +232,8 @@ class _Runs:
         now.x_m += cos * way - sin * drift
         now.y_m += sin * way + cos * drift
         now.theta_rad += turned
+        if self.past_poses is not None:
+            self.past_poses.add(now.x_m, now.y_m, now.theta_rad)
         return wheels, front / self.radius_front_m
 
     def count(self, wheels: FloatArray, front: FloatArray) -> None:
@@ -277,11 +289,7 @@ _STEER_STEP_RAD: Final = 5e-4
 
 def reference_poses(world: World, noise: NoiseDraw, record: Record) -> FloatArray:
     """Return the pose reference without reading noise, shape (3, n_frames, n_runs)."""
-    # nothing is read before the start
-    late = np.minimum(world.latency_s * record.v_mps, record.odo[3])
-    curvature = record.omega_radps / np.where(record.v_mps > 1e-9, record.v_mps, 1.0)
-    theta = record.theta_rad - np.where(record.v_mps > 0, late * curvature, 0.0)
-    x, y = record.x_m - late * np.cos(record.theta_rad), record.y_m - late * np.sin(record.theta_rad)
+    x, y, theta = record.past
     x, y = world.seen_target(x, y, theta, world.ref_yaw_rad + noise.start_heading_rad)
     return np.stack([x, y, theta + noise.start_heading_rad])
 

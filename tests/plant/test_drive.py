@@ -183,16 +183,27 @@ def test_a_flying_run_ends_at_speed() -> None:
     assert record.last(record.v_mps)[0] == pytest.approx(0.5, abs=1e-6)  # the set speed, exactly held
 
 
-def test_a_late_reference_lags_by_speed_times_delay_where_a_route_ends_at_its_start_too() -> None:
-    """On a square that closes, as on the others: v tau behind, along the heading."""
-    design, delay_s = some(ALL_KINDS, flying=np.ones(len(ALL_KINDS), dtype=bool)), 0.05
-    world = apply_causes(build_world(design, MODEL), [Cause("reference_latency", delay_s)])
-    noise = quiet(len(design))
-    record = drive(world, noise, quantise=False)
-    seen_x_m, seen_y_m, _ = record.last(reference_poses(world, noise, record))
-    lag_m = np.hypot(record.last(record.x_m) - seen_x_m, record.last(record.y_m) - seen_y_m)
+@pytest.mark.parametrize("delay_s", [0.03, 0.05, 0.31])
+def test_a_late_reference_shows_the_pose_of_then(delay_s: float) -> None:
+    """At a halt and on the move, where a route closes too: known from the same drive, logged finely."""
+    flying = np.arange(2 * len(ALL_KINDS)) % 2 == 1
+    kinds = [kind for kind in ALL_KINDS for _ in range(2)]
+    fine = drive(build_world(some(kinds, flying=flying, log_period_s=0.02), MODEL), quiet(len(kinds)), quantise=False)
+    design = some(kinds, flying=flying)
+    world, noise = apply_causes(build_world(design, MODEL), [Cause("reference_latency", delay_s)]), quiet(len(kinds))
+    late = drive(world, noise, quantise=False)
+    seen = reference_poses(world, noise, late)
+    for run in range(len(kinds)):
+        past_s, then_s = late.t_s[: late.frames[run], run] - delay_s, fine.t_s[: fine.frames[run], run]
+        for part, true in zip(seen, (fine.x_m, fine.y_m, fine.theta_rad), strict=True):
+            expected = np.interp(past_s, then_s, true[: fine.frames[run], run])
+            # atol: the oracle's straight line between steps of 0.02 s, at up to some 2 rad/s^2: 2 * 0.02^2 / 8, twice
+            np.testing.assert_allclose(part[: late.frames[run], run], expected, atol=2e-4)
+    lag_m = np.hypot(late.last(late.x_m - seen[0]), late.last(late.y_m - seen[1]))
     # rtol: the follower holds its speed to a thousandth where a route ends in a turn
-    np.testing.assert_allclose(lag_m, 0.5 * delay_s, rtol=2e-3)
+    np.testing.assert_allclose(lag_m[flying], 0.5 * delay_s, rtol=3e-3)
+    # a vehicle that brakes has moved far less
+    assert (lag_m[~flying] < 0.25 * 0.5 * delay_s).all()
 
 
 def test_the_same_seed_gives_the_same_campaign() -> None:
