@@ -289,7 +289,7 @@ def _instruments(replay: Replay, world: World, end: Moment, path_m: FloatArray, 
     x, y, theta = end.x_m, end.y_m, end.theta_rad
     x_late, y_late, theta_late = seen_late
     axis = replay.observations.axis
-    line = np.where(axis == 1, x, np.where(axis == 2, np.hypot(x, y), np.abs(path_m)))
+    line = np.where(np.abs(axis) == 1, axis * x, np.where(axis == 2, np.hypot(x, y), np.abs(path_m)))
     distance = world.laser_scale * line + world.laser_offset_m
     if replay.observations.windowed:
         v, omega = replay.steps["v_mps"][0], replay.steps["v_mps"][0] * replay.steps["curvature_per_m"][0]

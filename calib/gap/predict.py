@@ -105,8 +105,8 @@ class Path:
     @property
     def distance_m(self) -> FloatArray:
         """What a perfect laser reads, without any perturbation of the readings, shape (n_obs,)."""
-        x, y = self.end[:, 0], self.end[:, 1]
-        return np.where(self.s.axis == 1, x, np.where(self.s.axis == 2, np.hypot(x, y), np.abs(self.line_m)))
+        (x, y), axis = self.end[:, :2].T, self.s.axis
+        return np.where(np.abs(axis) == 1, axis * x, np.where(axis == 2, np.hypot(x, y), np.abs(self.line_m)))
 
     @cached_property
     def frame(self) -> FloatArray:
@@ -297,7 +297,7 @@ def _along_path(path: Path, perturbation: Perturbation) -> FloatArray:
     change = np.zeros((len(s), N_CHANNELS))
     change[:, Channel.ALONG], change[:, Channel.LATERAL] = path.to_end_frame(x, y)
     change[:, Channel.HEADING] = sums[TURN]
-    change[:, Channel.DISTANCE] = np.where(s.axis == 1, x, sums[LINE] * np.sign(path.way_m))
+    change[:, Channel.DISTANCE] = np.where(np.abs(s.axis) == 1, s.axis * x, sums[LINE] * np.sign(path.way_m))
     chords = np.flatnonzero(s.axis == 2)
     if len(chords):
         end_x, end_y = path.end[chords, 0], path.end[chords, 1]
@@ -333,5 +333,5 @@ def residuals(path: Path, nominal: Path) -> FloatArray:
     bend = np.where(own, np.clip(gap[:, Channel.HEADING], -LARGEST_BEND_RAD, LARGEST_BEND_RAD), 0.0)
     taken = np.zeros_like(gap)
     taken[:, POSE] = bend[:, None] ** 2 * path.bent_m
-    taken[:, Channel.DISTANCE] = np.where(s.axis == 1, taken[:, Channel.ALONG], 0.0)
+    taken[:, Channel.DISTANCE] = np.where(np.abs(s.axis) == 1, s.axis * taken[:, Channel.ALONG], 0.0)
     return gap + np.where(s.usable, _turned(taken, -path.frame), 0.0)

@@ -88,6 +88,20 @@ def test_the_laser_reads_the_projection_on_the_start_heading_where_the_end_poses
     np.testing.assert_allclose(predict(s).reading[:, 0], 100.0 * np.sin(0.1), rtol=1e-9)
 
 
+def test_the_laser_reads_a_length_of_a_run_driven_backward_too() -> None:
+    """Of an arc of 100 m driven backward: what it moved behind its start, and what radii 1 % larger add to that."""
+    s = situation([Run([(-10.0 if n % 2 else 10.0, 0.01)]) for n in range(RUNS)])
+    np.testing.assert_array_equal(s.axis, np.where(np.arange(RUNS) % 2, -1.0, 1.0))
+    path = predict(s)
+    np.testing.assert_allclose(path.reading[:, 0], 100.0 * np.sin(0.1), rtol=1e-9)
+    np.testing.assert_allclose(residuals(path, path)[:, 0], 0.0, atol=1e-9)
+    both = Perturbation(left=np.ones(RUNS), right=np.ones(RUNS))
+    step = predict(s, [both.scaled(1e-6)]).reading[:, 0] - path.reading[:, 0]
+    # rtol: the second order of a step of 1e-6
+    np.testing.assert_allclose(signature(path, both)[:, 0], 1e6 * step, rtol=1e-4)
+    assert (step > 0.0).all()
+
+
 @pytest.mark.parametrize("field", ["left", "right", "track"])
 def test_a_push_by_units_is_the_same_as_one_by_steps(field: str) -> None:
     s = situation(rich_runs())

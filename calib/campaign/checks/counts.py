@@ -27,7 +27,8 @@ _ALIKE: Final = 0.05
 def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
     """Find wheels that count backwards although the vehicle drives forward."""
     runs = campaign.runs
-    moved = runs.number("distance_m") > 1.0
+    # where its end pose is behind its start, the vehicle drove backward
+    moved = (runs.number("distance_m") > 1.0) & ~(runs.number("ref_x_m") < 0.0)
     backward = {side: (runs.number(f"counts_{side}") < 0) & moved for side in design.SIDES}
     if whole := [side for side in design.SIDES if backward[side].sum() > design.MOST_OF_THE_RUNS * moved.sum()]:
         text = f"""the {" and ".join(whole)} wheel counts backwards in {int(backward[whole[0]].sum())} runs that drive

@@ -15,6 +15,9 @@ from calib.gap.predict import GUIDED_TURN_RAD, Path, predict
 from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray, IntArray
 
+#: a manoeuvre is shorter
+LEAST_BACKWARD_M: Final = 0.5
+
 
 def common_frame(observations: Observations) -> bool:
     """Return whether a place on the floor is the same place in every run: in a map, or from one mark, out and back.
@@ -252,7 +255,7 @@ class RearDrag(Effect):
         One sense of a wheel is the other with another radius: the one that leaves the radius alone is more probable.
         """
         backward = observations.total(np.where(observations.path_m < 0.0, -observations.path_m, 0.0))
-        rolls_back, applied = bool((backward > 0.5).any()), observations.applied
+        rolls_back, applied = bool((backward > LEAST_BACKWARD_M).any()), observations.applied
         # of each sense, the observations that have it; None where they have both, and steps tell
         senses: dict[str, tuple[BoolArray | None, bool]] = {}
         if rolls_back or applied:
@@ -277,28 +280,41 @@ class RearDrag(Effect):
 
 
 class TravelDirection(Effect):
-    """dr / r = d sigma for both wheels, sigma +1 out and -1 back."""
+    """dr / r = d sigma for both wheels, sigma +1 out and -1 back, or +1 rolling forward and -1 rolling backward."""
 
     id = "travel_direction"
-    title = "a difference between driving out and back"
+    title = "a difference between directions of travel"
     implausible = "a sloping floor, or a start mark that differs"
     family = Family.DIRECTION
-    needs = "runs out and back"
+    needs = "runs out and back, or forward and backward"
     separates = "the vehicle turned by 180 degrees on the same lane"
     shifts = ("radius_scale",)
 
     def forms(self, observations: Observations) -> list[Form]:
         """See `Effect`."""
         sigma = observations.heading_sign
-        if not varies(sigma, 0.0, observations):
-            return []
         labelled = np.isin(observations.labels["direction"], ("out", "back"))
         parameter = Parameter("relative", "1", typical=1e-3, largest=5e-3)
+        senses: dict[str, FloatArray] = {}
+        if varies(sigma, 0.0, observations):
+            senses = {"along the corridor alone": np.where(labelled, sigma, 0.0), "other routes as out": sigma}
+            if labelled.all():
+                senses = {"": sigma}
+        offers = [(label, (parameter,), always(on_both(sense))) for label, sense in senses.items()]
+        backward = observations.of_parts(lambda part: part.total(np.where(_rolls_back(part), -part.path_m, 0.0)))
+        by_label = bool(senses) and np.array_equal(sigma < 0.0, backward > 0.5 * observations.length_m)
+        if observations.applied or ((backward > LEAST_BACKWARD_M).any() and not by_label):
+            offers.append(("rolling forward or backward", (parameter,), _by_rolling))
+        return [replace(form, by_parts=form.perturbations is _by_rolling) for form in self.offer(offers)]
 
-        senses = {"along the corridor alone": np.where(labelled, sigma, 0.0), "other routes as out": sigma}
-        if labelled.all():
-            senses = {"": sigma}
-        return self.offer([(label, (parameter,), always(on_both(sense))) for label, sense in senses.items()])
+
+def _by_rolling(path: Path) -> list[Perturbation]:
+    return [on_both(np.where(_rolls_back(path.s), -1.0, 1.0))]
+
+
+def _rolls_back(observations: Observations) -> BoolArray:
+    # on the spot one wheel rolls forward
+    return np.asarray(np.maximum(observations.travel_left_m, observations.travel_right_m) < 0.0)
 
 
 #: heading on the floor -> share by step

@@ -313,7 +313,8 @@ class IntegrationScheme(Effect):
             along, lateral = path.to_end_frame(x, y)
             # a laser's simulated distance was taken from the same pose
             chord = (end_x * x + end_y * y) / np.maximum(np.hypot(end_x, end_y), 1e-9)
-            laser = np.where(observations.axis == 1, x, np.where(observations.axis == 2, chord, 0.0))
+            axis = observations.axis
+            laser = np.where(np.abs(axis) == 1, axis * x, np.where(axis == 2, chord, 0.0))
             distance = np.where(np.isfinite(observations.simulated[:, 0]), laser, 0.0)
             return [Perturbation.on_readings(observations, distance=distance, along=along, lateral=lateral)]
 

@@ -64,11 +64,12 @@ def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArr
     observations, steps = path.s, path.steps
     unit = observations.unit
     c, s = np.cos(path.frame)[unit], np.sin(path.frame)[unit]
-    by_x, by_line = (observations.axis == 1)[unit], (observations.axis == 0)[unit]
+    axis = observations.axis[unit]
+    by_x, by_line = np.abs(axis) == 1, axis == 0
     chord = np.maximum(np.hypot(path.end[:, 0], path.end[:, 1]), 1e-9)
     ux, uy = (path.end[:, 0] / chord)[unit], (path.end[:, 1] / chord)[unit]
     ones = np.ones(len(unit))
-    turned = np.where(by_x, steps.lever_x, ux * steps.lever_x + uy * steps.lever_y)
+    turned = np.where(by_x, axis * steps.lever_x, ux * steps.lever_x + uy * steps.lever_y)
     kick = {
         0: np.where(by_line, 0.0, turned),
         1: c * steps.lever_x + s * steps.lever_y,
@@ -76,7 +77,7 @@ def _step_vectors(path: Path) -> tuple[dict[int, FloatArray], dict[int, FloatArr
         3: ones,
         5: ones,
     }
-    moved = np.where(by_x, steps.cos, ux * steps.cos + uy * steps.sin)
+    moved = np.where(by_x, axis * steps.cos, ux * steps.cos + uy * steps.sin)
     push = {
         0: np.where(by_line, 1.0, moved),
         1: c * steps.cos + s * steps.sin,

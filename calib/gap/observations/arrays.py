@@ -116,7 +116,8 @@ class Observations:
     #: shape (n_units,): replicates that were also driven in the same session, warmth, dwell and further columns
     cell: IntArray
     kind: IntArray  #: shape (n_obs,): units of the same route and direction
-    #: shape (n_obs,): 1 where the laser's distance is the projection on the start heading, 0 where the line's length
+    #: shape (n_obs,): what the laser's distance is: the projection on the start heading (1; -1 of a run driven
+    #: backward), the chord to the end point (2), the line's length (0)
     axis: FloatArray
     sigma: FloatArray  #: shape (n_obs, 4): stated standard uncertainty of distance, x, y and heading
     #: shape (n_obs,): of the start frame's heading, where that was read too; else 0

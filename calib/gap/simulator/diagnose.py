@@ -168,10 +168,15 @@ def _simulated_observations(measured: Observations, differences: Differences) ->
         simulated=np.where(usable, simulated, np.nan),
         usable=usable,
         calibration_held=True,
-        axis=measured.axis if axis is None else np.where(measured.axis > 0, axis, measured.axis),
+        axis=measured.axis if axis is None else _along(measured.axis, axis),
         sigma=np.sqrt(measured.sigma**2 + variance),
     )
     return simulator.as_simulated(observations, noise)
+
+
+def _along(axis: FloatArray, simulated: float) -> FloatArray:
+    # runs driven backward stay so; the line's length has no axis
+    return np.where(axis == 0.0, 0.0, np.where((axis < 0.0) & (simulated == 1.0), -1.0, simulated))
 
 
 def _refuse_nonsense(measured: Observations, differences: Differences) -> None:

@@ -358,6 +358,6 @@ def _distance_axis(tables: list[FloatArray]) -> float | None:
     known = np.isfinite(distance + x + y)
     if not known.any():
         return None
-    off = [float(np.abs(distance - one)[known].max()) for one in (x, np.hypot(x, y))]
+    off = [float(np.abs(distance - one)[known].max()) for one in (np.abs(x), np.hypot(x, y))]
     best = int(np.argmin(off))
     return best + 1.0 if off[best] < SAME_DISTANCE_M else None

@@ -15,6 +15,7 @@ from calib.campaign.checks.counts import (
     implausible_paths,
     interrupted_counts,
     log_speed,
+    reversed_wheels,
 )
 from calib.campaign.read import read_campaign
 from tests.campaign.making import campaign, with_log_columns, with_numbers
@@ -203,3 +204,12 @@ def test_a_vehicle_that_stops_and_starts_is_no_loss(pause_s: float, ramp_s: floa
 
     assert not list(interrupted_counts(changed(made, lambda log: with_stops(log, ramp_s))))
     assert not list(interrupted_counts(changed(made, lambda log: with_stops(log, 1e-3))))
+
+
+def test_runs_driven_backward_by_their_end_poses_have_no_reversed_wheels() -> None:
+    """Counts of both wheels fall and the vehicle ends behind its start; without an end pose it is asked about."""
+    made, back = campaign(runs_per_load=2), np.arange(len(campaign(runs_per_load=2).runs)) % 4 == 3
+    sides = {name: np.where(back, -1.0, 1.0) * made.runs.number(name) for name in ("counts_left", "counts_right")}
+    x_m = np.where(back, -1.0, 1.0) * made.runs.number("distance_m")
+    assert len(list(reversed_wheels(with_numbers(made, **sides)))) == 2 * back.sum()
+    assert list(reversed_wheels(with_numbers(made, **sides, ref_x_m=x_m))) == []

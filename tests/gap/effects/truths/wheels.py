@@ -112,6 +112,11 @@ def _(run: Run, now: Motion) -> None:
     now.left = now.right = 1e-3 if run.direction == "out" else -1e-3
 
 
+@case("travel_direction", "rolling forward or backward", 1e-3, runs=LOGGED)
+def _(run: Run, now: Motion) -> None:
+    now.left = now.right = np.where(now.ds_m > 0.0, 1e-3, -1e-3)
+
+
 @case("lost_counts", "left wheel, constant share", 3e-3)
 def _(run: Run, now: Motion) -> None:
     # of 1000 counts 3 are lost
