@@ -14,7 +14,6 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Final, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from calib import __version__
 from calib.campaign.ingest import describe as descriptions
 from calib.campaign.ingest.describe import Description
 from calib.campaign.model import Campaign
@@ -260,7 +259,7 @@ def fit(campaign: CampaignLike, *, reference_load_N: float | None = None) -> Fit
     arguments = {} if reference_load_N is None else {"reference_load_N": reference_load_N}
     campaign = opened(campaign)
     fitted = fit_campaign(campaign, reference_load_N=reference_load_N)
-    return replace(fitted, provenance=provenance(campaign, version=__version__, arguments=arguments))
+    return replace(fitted, provenance=provenance(campaign, arguments))
 
 
 @checked

@@ -1,5 +1,7 @@
 """`calib init`, `ingest` and `check`: a campaign, empty or from raw lab files, what is wrong with it; `calib fleet`."""
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -106,24 +108,16 @@ def check(
 
     Example: calib check sample_runs/corridor --json -
     """
-    from dataclasses import asdict
-
     from calib.campaign.check import check_campaign
     from calib.campaign.read import read_or_ingest
+    from calib.documents import plain
     from calib.reporting.topics.runs import after_check, check_content
 
     with terminal.progress("checking") as tick:
         read = read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick)
         report = check_campaign(read, tick)
-    document = {
-        "campaign": report.campaign,
-        "simulated": report.simulated,
-        "sound": report.sound,
-        "verdict": report.verdict,
-        "found": asdict(report.found),
-        **{level: [asdict(note) for note in getattr(report, level)] for level in ("wrong", "suspicious", "info")},
-    }
-    terminal.answer(document, check_content(report))
+    parts = ("campaign", "simulated", "sound", "verdict", "found", "wrong", "suspicious", "info")
+    terminal.answer({part: plain(getattr(report, part)) for part in parts}, check_content(report))
     named = {*read.logs.columns, *read.runs.labels, *read.runs.numbers}
     terminal.then(after_check(report, named), c=campaign)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0
@@ -146,7 +140,7 @@ def run(
     Example: calib fleet run vehicles --into fleet --workers 2
     """
     refuse_workers(workers)
-    from calib.fleet.run import fit_fleet, survey_fleet
+    from calib.fleet.run import Fleet, Survey, fit_fleet, survey_fleet
     from calib.reporting.pages import write_fleet
     from calib.reporting.source import issue_date
     from calib.reporting.topics.fleet import fleet_content
@@ -156,11 +150,8 @@ def run(
     terminal.refuse_outputs(*(into / name for name in names))
     terminal.keep(f"what was read so far, in {into}; the same command goes on")
     with terminal.progress("fleet") as tick:
-        fleet = (
-            fit_fleet(folder, into, workers=workers, scheduler=scheduler, progress=tick)
-            if what == "fit"
-            else survey_fleet(folder, into, what, workers=workers, scheduler=scheduler, progress=tick)
-        )
+        do: Callable[..., Fleet | Survey] = fit_fleet if what == "fit" else partial(survey_fleet, what=what)
+        fleet = do(folder, into, workers=workers, scheduler=scheduler, progress=tick)
         document = fleet.to_dict()
         written = write_fleet(fleet, into, name=folder.resolve().name, issued=issued, force=terminal.forced())
     terminal.answer(document, fleet_content(fleet))

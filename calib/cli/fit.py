@@ -36,7 +36,6 @@ def fit(
     """
     from dataclasses import replace
 
-    from calib import __version__
     from calib.campaign.read import read_or_ingest
     from calib.radius.fit import fit_campaign
     from calib.radius.result import FIT_FILE, RUNS_FILE, provenance, write_result
@@ -49,7 +48,7 @@ def fit(
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         fitted = fit_campaign(read, reference_load_N=reference_load)
     arguments = {"campaign": campaign.name, "reference_load_N": reference_load}
-    fitted = replace(fitted, provenance=provenance(read, version=__version__, arguments=arguments))
+    fitted = replace(fitted, provenance=provenance(read, arguments))
     document, content = fitted.to_dict(), fit_content(fitted, runs=runs)
     if believed is not None:
         comparison, blocks = _compared(fitted, believed)
@@ -151,7 +150,6 @@ def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
     return None if given is None else known[given]
 
 
-DISTANCE_M: Final = 40.0
 AMPLITUDES_M: Final = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 WAVELENGTHS_M: Final = (40.0, 5.0)
 
@@ -180,7 +178,7 @@ def deviation(
     with terminal.waiting("reading"):
         read = None if campaign is None else read_campaign(campaign)
         judged = None if read is None else table.judge_runs(read, tolerance)
-    distance_m, track_m = table.table_setting(read, distance, track, default_distance_m=DISTANCE_M)
+    distance_m, track_m = table.table_setting(read, distance, track)
     rows = table.deviation_rows(amplitude or AMPLITUDES_M, wavelength or WAVELENGTHS_M, distance_m, track_m, tolerance)
     arc = None if radius_ratio is None else table.arc_row(radius_ratio, distance_m, track_m)
     document: dict[str, object] = {"tolerance": tolerance, "track_m": track_m, "table": rows, "arc": arc}

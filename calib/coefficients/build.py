@@ -1,12 +1,12 @@
 """The coefficient file of a fitted law, or of a geometry estimated with or without loads."""
 
-import importlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Final, get_args
 
 import numpy as np
@@ -381,9 +381,7 @@ def export(file: CoefficientFile, to: str, options: ExportOptions = formats.USUA
         wheels = SOURCE_NAMES[together.source]
         found = f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has"
         raise RefusedError(f"{found}; export to ros2 or json")
-    module, _, function = formats.FORMATS[to].partition(".")
-    render = getattr(importlib.import_module(f"{formats.__name__}.{module}"), function)
-    first, *more = render(file, options)
+    first, *more = resolve_name(f"{formats.__name__}.{formats.FORMATS[to]}")(file, options)
     notes = effects_left_out(file, f"not in {to}") if to in RADII_ONLY else ()
     notes += assumed_note(file) if to in WITH_NOISE else ()
     return (replace(first, notes=(*first.notes, *notes)), *more)

@@ -58,11 +58,10 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
     return PartSums(part.name, key, reference, nominal, sums, "", fit.failed if fit else (), sources, lines)
 
 
-def campaign_of(part: Part, settings: dict[Path, Campaign] | None = None, *, lenient: bool = False) -> Campaign:
-    """Return the campaign of a file of journeys; a dataset's tables have no logs."""
+def campaign_of(part: Part, known: dict[Path, Campaign], *, lenient: bool = False) -> Campaign:
+    """Return the campaign of a file of journeys; a dataset's tables have no logs; `known`: settings read before."""
     if part.whole:
         return read_campaign(part.settings, lenient=lenient)
-    known = {} if settings is None else settings
     if part.settings not in known:
         known[part.settings] = read_settings(part.settings / "campaign.toml", "campaign.toml")
     shared = known[part.settings]
@@ -290,7 +289,7 @@ def _campaign(member: Member, *, lenient: bool = False) -> Campaign:
             f"{member.vehicle}: found {len(member.parts)} files of journeys; expected one for this task; "
             "put a vehicle's journeys into one campaign folder"
         )
-    return campaign_of(member.parts[0], lenient=lenient)
+    return campaign_of(member.parts[0], {}, lenient=lenient)
 
 
 def _check(member: Member) -> dict[str, object]:

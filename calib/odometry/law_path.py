@@ -388,6 +388,4 @@ def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) 
     left, right, track = wheel_travel(route, believed, real)
     radii = {"radius_left_m": real.radius_left_m, "radius_right_m": real.radius_right_m}
     by_radius = posing.jacobian(posing.steps(left[0], right[0], track[0], **radii))[-1][:, [0, 2, 4]]
-    cosine, sine = np.cos(heading_rad), np.sin(heading_rad)
-    turned = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ by_radius
-    return np.vstack([turned, by_radius[:2]])
+    return np.asarray(_frame(np.array([heading_rad]))[0] @ by_radius)

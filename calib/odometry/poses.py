@@ -132,7 +132,6 @@ def write_tum(path: Path, t_s: ArrayLike, poses: Poses, *, force: bool = False) 
 
 def read_tum(path: Path) -> tuple[FloatArray, Poses]:
     """Return times in s and poses of a trajectory, each (n,); headings unwrapped."""
-    path = Path(path)
     try:
         if path.stat().st_size > FILE_LIMIT_BYTES:
             raise BadFileError(path, "a file above 2 GiB", "a trajectory", "cut it into several files")

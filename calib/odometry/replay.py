@@ -273,13 +273,13 @@ def _runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: i
     odometer = Odometer(Coefficients.parse(coefficients.to_bytes().decode("utf-8")))
     carried = np.stack(carried_loads_N(campaign), axis=1)
     faults: Counter[str] = Counter()
-    samples = fed = 0
+    samples, fed = 0, min(runs, len(campaign.runs))
     worst_m = worst_rad = float("nan")
-    for run in range(min(runs, len(campaign.runs))):
+    for run in range(fed):
         log = campaign.logs.of(run)
         loads = carried[campaign.logs.offsets[run] : campaign.logs.offsets[run + 1]]
         poses, fault, taken = _fed(odometer, log, loads)
-        fed, samples = fed + 1, samples + taken
+        samples += taken
         faults.update([fault] if fault else [])
         if poses is None:
             continue

@@ -143,7 +143,6 @@ def read_route(path: Path) -> Route:
 
     That has ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
     """
-    path = Path(path)
 
     def bad(found: str, expected: str, column: str | None = None) -> BadFileError:
         return BadFileError(path, found=found, expected=expected, remedy="correct the route file", column=column)

@@ -246,12 +246,8 @@ def tested(
 def by_t(name: str, slope: float, sd: float, dof: float, sentences: tuple[str, str], *, fails: bool = False) -> Check:
     """Return the check of a slope by Student's t; see `tested`."""
     statistic = slope / sd if sd > 0.0 else 0.0
-    return tested(name, statistic, f"t({dof:.3g})", p_of_t(statistic, dof), sentences, fails=fails)
-
-
-def p_of_t(statistic: float, dof: float) -> float:
-    """Return the two-sided probability of a Student's t."""
-    return float(2 * stdtr(dof, -abs(statistic)))
+    p_value = float(2 * stdtr(dof, -abs(statistic)))
+    return tested(name, statistic, f"t({dof:.3g})", p_value, sentences, fails=fails)
 
 
 def _on_one_load(fit: WheelFit) -> str:

@@ -19,6 +19,8 @@ from calib.vehicle import Vehicle
 
 #: halvings, to rounding
 BISECTIONS: Final = 60
+#: of the table without a campaign
+PAPER_DISTANCE_M: Final = 40.0
 
 
 def weave_excess(
@@ -143,17 +145,12 @@ def deviation_rows(
     return rows_of(table)
 
 
-def table_setting(
-    campaign: Campaign | None, distance_m: float | None, track_m: float | None, *, default_distance_m: float
-) -> tuple[float, float]:
-    """Return distance and track of the table: as given, else the campaign's (median distance), else the paper's.
-
-    `default_distance_m`: without a campaign.
-    """
+def table_setting(campaign: Campaign | None, distance_m: float | None, track_m: float | None) -> tuple[float, float]:
+    """Return distance and track of the table: as given, else the campaign's (median distance), else the paper's."""
     if distance_m is None:
         known = np.array([]) if campaign is None else campaign.runs.number("distance_m")
         known = np.abs(known[np.isfinite(known)])
-        distance_m = float(np.median(known)) if len(known) else default_distance_m
+        distance_m = float(np.median(known)) if len(known) else PAPER_DISTANCE_M
     if track_m is None:
         track_m = (Vehicle() if campaign is None else campaign.vehicle).track_m
     return distance_m, track_m

@@ -15,7 +15,7 @@ from calib.campaign.wheels import SOURCE_NAMES, WHEEL_COLUMNS, odometry_source, 
 from calib.errors import BadFileError, RefusedError
 from calib.radius.path_length import correct_paths
 from calib.radius.regression import WheelFit
-from calib.types import FloatArray, StrArray
+from calib.types import FloatArray, StrArray, floats
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
@@ -247,11 +247,9 @@ class SystematicSource:
 
 
 def _along(wheel: WheelFit, sensitivity: FloatArray) -> FloatArray:
-    mean, x = sensitivity.mean(), wheel.load_N - wheel.law.reference_load_N
     if wheel.model != "line":
-        return np.array([mean, 0.0])
-    slope = np.sum((x - x.mean()) * sensitivity) / np.sum((x - x.mean()) ** 2)
-    return np.array([mean - slope * x.mean(), slope])
+        return np.array([sensitivity.mean(), 0.0])
+    return floats(np.polynomial.polynomial.polyfit(wheel.load_N - wheel.law.reference_load_N, sensitivity, 1))
 
 
 _WORDS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {

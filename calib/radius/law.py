@@ -75,10 +75,6 @@ class WheelLaw:
         c = floats(contrast)
         return np.asarray(np.sqrt(np.maximum(np.einsum("...i,ij,...j->...", c, self.covariance, c), 0.0)))
 
-    def prediction_std_m(self, load_N: ArrayLike) -> FloatArray:
-        """Return the standard uncertainty of a single run's radius at `load_N` (any shape), same shape, in m."""
-        return np.asarray(np.hypot(self.mean_std_m(load_N), self.residual_std_m))
-
     def half_width_m(self, load_N: ArrayLike, *, single_run: bool = False) -> FloatArray:
         """Return the half width of the 95 % band at `load_N` (any shape), same shape, in m.
 
@@ -90,7 +86,7 @@ class WheelLaw:
             return np.full(contrast.shape[:-1], np.nan)
         if self.strata is not None:
             return self.strata.half_width(contrast, single_run=single_run)
-        std = self.prediction_std_m(load_N) if single_run else self.mean_std_m(load_N)
+        std = np.hypot(self.mean_std_m(load_N), self.residual_std_m if single_run else 0.0)
         return np.asarray(std * (stdtrit(self.dof, UPPER) if self.dof > 0 else np.nan))
 
     def dof_of(self, contrast: ArrayLike, *, single_run: bool = False) -> FloatArray:

@@ -156,15 +156,8 @@ class WheelFit:
         """95 % interval of the slope; None for a constant."""
         return self.estimate.slope_ci95_m_per_N if self.model == "line" else None
 
-    def mean_band_m(self, load_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return the lower and upper end of the 95 % band of the regression mean at wheel loads, in m (Fig. 11)."""
-        return self._band(load_N, single_run=False)
-
-    def prediction_band_m(self, load_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Return that of a further run in a session of its own; see `mean_band_m`."""
-        return self._band(load_N, single_run=True)
-
-    def _band(self, load_N: ArrayLike, *, single_run: bool) -> tuple[FloatArray, FloatArray]:
+    def band_m(self, load_N: ArrayLike, *, single_run: bool) -> tuple[FloatArray, FloatArray]:
+        """Return the ends of the 95 % band at wheel loads, in m (Fig. 11): of the mean, or of a further run."""
         centre, half = self.law.radius_m(load_N), self.law.half_width_m(load_N, single_run=single_run)
         return centre - half, centre + half
 

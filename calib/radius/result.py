@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.documents import CHECKSUM_KEY, Result, checksum, csv_text, plain, to_json
+from calib.documents import CHECKSUM_KEY, VERSION, Result, checksum, csv_text, plain, to_json
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import settle, write_files
 from calib.radius.effective import Component, EffectiveRadii, UnusedRun
@@ -128,9 +128,6 @@ class Fit(Result):
 
         Raises BadInputError where a key is missing or of the wrong kind.
         """
-        if value.get("format") != FORMAT:
-            found = f"found format {value.get('format')!r}"
-            raise BadInputError(f"{found}; expected {FORMAT!r}; make it anew with 'calib fit'")
         try:
             setup, notes = value.get("setup"), tuple(value["notes"])
             fit = Fit(
@@ -172,10 +169,10 @@ def _columns(rows: Any) -> dict[str, Any]:
     return {name: np.array([row[name] for row in rows], dtype=kind) for name, kind in types.items()}
 
 
-def provenance(campaign: Campaign, *, version: str, arguments: Mapping[str, object]) -> Mapping[str, object]:
+def provenance(campaign: Campaign, arguments: Mapping[str, object]) -> Mapping[str, object]:
     """Return version, arguments, SHA-256 of every file read, and what the campaign states."""
     inputs = dict(sorted(campaign.hashes.items()))
-    record: dict[str, object] = {"version": version, "arguments": dict(arguments), "inputs": inputs}
+    record: dict[str, object] = {"version": VERSION, "arguments": dict(arguments), "inputs": inputs}
     for section in STATED_SECTIONS:
         if section in campaign.extra:
             # dates of TOML become texts
@@ -203,7 +200,6 @@ def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
     `folder` is made where missing; returned is ``fit.json``. Raises BadInputError where the folder holds a result and
     `force` is False, or cannot be written.
     """
-    folder = Path(folder)
     document = fit.to_dict()
     rows = document["runs"]
     text = csv_text(list(rows[0]), (row.values() for row in rows))
@@ -227,7 +223,6 @@ def _check_seal(file: Path, value: Mapping[str, Any]) -> None:
 
 def is_result(path: Path) -> bool:
     """Return whether `path` is a result folder or ``fit.json``."""
-    path = Path(path)
     return (path / FIT_FILE).is_file() if path.is_dir() else path.suffix == ".json" and path.is_file()
 
 
@@ -236,7 +231,6 @@ def read_result(path: Path) -> Fit:
 
     Raises BadFileError where the file is missing, is not JSON, is not a fit, or has been changed since it was written.
     """
-    path = Path(path)
     if path.is_dir():
         settle(path)
     file = path / FIT_FILE if path.is_dir() else path

@@ -6,8 +6,8 @@ import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
 
 from calib.documents import plain_fields
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 @cache
 def catalogue() -> dict[str, dict[str, str]]:
     """Return the sentences of ``words.toml`` with places to fill in, by section and name."""
-    text = Path(__file__).with_name("words.toml").read_text(encoding="utf-8")
-    sentences: dict[str, dict[str, str]] = tomllib.loads(text)
-    return sentences
+    return tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
 
 
 def paragraph(name: str, /, **values: object) -> str:
@@ -197,8 +195,7 @@ def drawn(figure: str, *values: Any, **options: Any) -> "Figure":
 
 def named(folder: str, name: str) -> Callable[..., Any]:
     """Return ``module.function`` of a folder of `calib.reporting`; its module is imported now."""
-    module, _, function = name.partition(".")
-    found: Callable[..., Any] = getattr(import_module(f"calib.reporting.{folder}.{module}"), function)
+    found: Callable[..., Any] = resolve_name(f"calib.reporting.{folder}.{name}")
     return found
 
 

@@ -179,7 +179,7 @@ def compose(source: Source) -> Report:
         title="Effective rolling radius of the rear wheels",
         name=source.fit.name,
         issued=source.issued,
-        simulated=source.simulated,
+        simulated=source.fit.simulated,
         passed=source.fit.passed,
         sections=tuple(section for section in sections if section is not None),
         attachments=(Attachment("coefficients.json", source.coefficients.to_bytes(), law),),

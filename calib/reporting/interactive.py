@@ -8,7 +8,6 @@ import gzip
 from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +18,7 @@ from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.localise.along_run import traces_of
 from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import measured_poses
-from calib.gap.predict import Path
+from calib.reporting.exports.mcap_paths import tracks_of
 from calib.reporting.figures.gap import GapArrays, rms
 from calib.reporting.formatting import natural, percent, with_unit
 from calib.types import FloatArray, evenly, in_frame
@@ -273,25 +272,15 @@ def run_paths(diagnosis: Diagnosis, campaign: Campaign) -> dict[str, list[FloatA
     """Return the paths of the observations by `PATH_STYLES`: time, x, y from the start, shape (n_samples, 3)."""
     observations = diagnosis.observations
     limit = int(np.clip(ALL_POINTS // max(len(observations), 1), 8, PATH_POINTS))
-    return {
-        "before": _predicted(diagnosis.nominal, limit),
-        "after": _predicted(diagnosis.correction.path, limit),
-        "reference": _measured(observations, campaign.included(), limit),
+    paths = {
+        which: [np.column_stack((time_s, poses[:, :2])) for time_s, poses in tracks_of(path)]
+        for which, path in (("before", diagnosis.nominal), ("after", diagnosis.correction.path))
     }
+    paths["reference"] = _measured(observations, campaign.included())
+    return {which: [path[evenly(len(path), limit)] for path in drawn] for which, drawn in paths.items()}
 
 
-def _predicted(path: Path, limit: int) -> list[FloatArray]:
-    s = path.s
-    end_s = s.time_s - s.start_s[s.unit]
-    middle_s = end_s - 0.5 * s.duration_s
-    paths = []
-    for trace, (first, last) in zip(path.traces(), pairwise(s.starts), strict=True):
-        times = np.concatenate(([0.0], middle_s[first:last], end_s[last - 1 : last]))
-        paths.append(np.column_stack((times, trace[:, :2]))[evenly(len(trace), limit)])
-    return paths
-
-
-def _measured(s: Observations, campaign: Campaign, limit: int) -> list[FloatArray]:
+def _measured(s: Observations, campaign: Campaign) -> list[FloatArray]:
     paths = []
     for measured, from_log in zip(measured_poses(campaign, s), s.from_log, strict=True):
         path = np.zeros((0, 3))
@@ -299,7 +288,7 @@ def _measured(s: Observations, campaign: Campaign, limit: int) -> list[FloatArra
             t_s, poses = measured
             seen = in_frame((poses - poses[0]).T, np.full(len(poses), poses[0, 2]))
             path = np.column_stack((t_s, seen[:, :2]))
-        paths.append(path[evenly(len(path), limit)])
+        paths.append(path)
     return paths
 
 

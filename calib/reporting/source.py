@@ -54,11 +54,6 @@ class Source:
         return self.fit.setup
 
     @property
-    def simulated(self) -> bool:
-        """True where a program made the data."""
-        return self.fit.simulated
-
-    @property
     def inputs(self) -> dict[str, str]:
         """SHA-256 of every input file, by path relative to the campaign."""
         return {str(key): str(value) for key, value in self.fit.provenance.get("inputs", {}).items()}
@@ -115,7 +110,7 @@ def source_of(given: "Fit | Campaign", *, issued: str, accept: str = "", where: 
 
     if isinstance(given, Campaign):
         fit, where, inputs = fit_campaign(given), given.root, given.hashes
-        fit = replace(fit, provenance=provenance(given, version=__version__, arguments={}))
+        fit = replace(fit, provenance=provenance(given, {}))
         stated, logo = stated_of(given), logo_of(given)
     else:
         fit, inputs, logo = given, None, None

@@ -5,7 +5,7 @@ import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, get_type_hints
 
 __all__ = ["CoefficientError", "Coefficients", "WheelCoefficients"]
 
@@ -24,6 +24,11 @@ class CoefficientError(ValueError):
     """A coefficient file that cannot be used; the text says where and why in one line."""
 
 
+def _stored(place: str, unit: str, **limits: float) -> tuple[str, str, dict[str, float]]:
+    # place: section and key in the file; limits: see `_number`
+    return place, unit, limits
+
+
 @dataclass(frozen=True, slots=True)
 class WheelCoefficients:
     """Law of one wheel: radius = radius_ref + slope (load - reference_load), valid from `load_min_N` to `load_max_N`.
@@ -31,15 +36,15 @@ class WheelCoefficients:
     With the covariance of (radius_ref, slope), and the scatter of single runs about the law, `residual_std_m`.
     """
 
-    radius_ref_m: float
-    slope_m_per_N: float
-    reference_load_N: float
-    variance_radius_ref_m2: float
-    covariance_m2_per_N: float
-    variance_slope_m2_per_N2: float
-    residual_std_m: float
-    load_min_N: float
-    load_max_N: float
+    radius_ref_m: Annotated[float, _stored("wheel.radius_ref", "m", above=0.0)]
+    slope_m_per_N: Annotated[float, _stored("wheel.slope", "m/N")]
+    reference_load_N: Annotated[float, _stored("wheel.reference_load", "N", low=0.0)]
+    variance_radius_ref_m2: Annotated[float, _stored("wheel.variance_radius_ref", "m^2", low=0.0)]
+    covariance_m2_per_N: Annotated[float, _stored("wheel.covariance_radius_ref_slope", "m^2/N")]
+    variance_slope_m2_per_N2: Annotated[float, _stored("wheel.variance_slope", "m^2/N^2", low=0.0)]
+    residual_std_m: Annotated[float, _stored("wheel.residual_std", "m", low=0.0)]
+    load_min_N: Annotated[float, _stored("valid.min", "N", low=0.0)]
+    load_max_N: Annotated[float, _stored("valid.max", "N", low=0.0)]
     counts_per_rev: float
 
     def radius_m(self, load_N: float) -> float:
@@ -62,22 +67,22 @@ class Coefficients:
     outside: str
     left: WheelCoefficients
     right: WheelCoefficients
-    track_m: float
-    track_std_m: float
-    wheelbase_m: float
-    mass_kg: float
-    cog_x_m: float
-    cog_y_m: float
-    load_track_m: float
-    load_wheelbase_m: float
-    max_wheel_load_N: float
-    gravity_mps2: float
+    track_m: Annotated[float, _stored("vehicle.track", "m", above=0.0)]
+    track_std_m: Annotated[float, _stored("vehicle.track_std", "m", low=0.0)]
+    wheelbase_m: Annotated[float, _stored("vehicle.wheelbase", "m", above=0.0)]
+    mass_kg: Annotated[float, _stored("vehicle.mass", "kg", above=0.0)]
+    cog_x_m: Annotated[float, _stored("vehicle.cog_x", "m")]
+    cog_y_m: Annotated[float, _stored("vehicle.cog_y", "m")]
+    load_track_m: Annotated[float, _stored("vehicle.load_track", "m", above=0.0)]
+    load_wheelbase_m: Annotated[float, _stored("vehicle.load_wheelbase", "m", above=0.0)]
+    max_wheel_load_N: Annotated[float, _stored("vehicle.max_wheel_load", "N", low=0.0)]
+    gravity_mps2: Annotated[float, _stored("vehicle.gravity", "m/s^2", above=0.0)]
     wrap_bits: int | None
-    along_m_per_sqrt_m: float
-    heading_rad_per_sqrt_m: float
-    count_std: float
-    max_step_m: float
-    max_gap_s: float
+    along_m_per_sqrt_m: Annotated[float, _stored("noise.along", "m/m^0.5", low=0.0)]
+    heading_rad_per_sqrt_m: Annotated[float, _stored("noise.heading", "rad/m^0.5", low=0.0)]
+    count_std: Annotated[float, _stored("noise.count_std", "count", low=0.0)]
+    max_step_m: Annotated[float, _stored("limits.max_step", "m", above=0.0)]
+    max_gap_s: Annotated[float, _stored("limits.max_gap", "s", above=0.0)]
     load_table: dict[str, tuple[float, float]]
     cross_covariance: tuple[tuple[int, int, float], ...]
     unapplied_effects: tuple[str, ...]
@@ -134,25 +139,11 @@ class Coefficients:
             outside=document["outside"],
             left=_wheel(document, "left"),
             right=_wheel(document, "right"),
-            track_m=_number(vehicle, "track", "m", "vehicle", above=0.0),
-            track_std_m=_number(vehicle, "track_std", "m", "vehicle", low=0.0),
-            wheelbase_m=_number(vehicle, "wheelbase", "m", "vehicle", above=0.0),
-            mass_kg=_number(vehicle, "mass", "kg", "vehicle", above=0.0),
-            cog_x_m=_number(vehicle, "cog_x", "m", "vehicle"),
-            cog_y_m=_number(vehicle, "cog_y", "m", "vehicle"),
-            load_track_m=_number(own, "load_track", "m", "vehicle", above=0.0),
-            load_wheelbase_m=_number(own, "load_wheelbase", "m", "vehicle", above=0.0),
-            max_wheel_load_N=_number(vehicle, "max_wheel_load", "N", "vehicle", low=0.0),
-            gravity_mps2=_number(vehicle, "gravity", "m/s^2", "vehicle", above=0.0),
             wrap_bits=None if wrap is None else _bits(encoder),
-            along_m_per_sqrt_m=_number(noise, "along", "m/m^0.5", "noise", low=0.0),
-            heading_rad_per_sqrt_m=_number(noise, "heading", "rad/m^0.5", "noise", low=0.0),
-            count_std=_number(noise, "count_std", "count", "noise", low=0.0),
-            max_step_m=_number(limits, "max_step", "m", "limits", above=0.0),
-            max_gap_s=_number(limits, "max_gap", "s", "limits", above=0.0),
             load_table=table,
             cross_covariance=_cross_covariance(document),
             unapplied_effects=tuple(str(item.get("effect")) for item in _parts(document, "effects")),
+            **_numbers(cls, vehicle=("vehicle", own), noise=("noise", noise), limits=("limits", limits)),
         )
         for side, wheel in (("left", coefficients.left), ("right", coefficients.right)):
             if not (wheel.radius_m(wheel.load_min_N) > 0.0 and wheel.radius_m(wheel.load_max_N) > 0.0):
@@ -177,22 +168,24 @@ class Coefficients:
         return left, right, self.gravity_mps2 * ahead
 
 
+def _numbers(kind: type, **sections: tuple[str, dict[str, Any]]) -> dict[str, Any]:
+    # what a class stores, by field; sections: by name in `_stored`, where each stands and what it holds
+    found = {}
+    for field, hint in get_type_hints(kind, include_extras=True).items():
+        for place, unit, limits in getattr(hint, "__metadata__", ()):
+            name, _, key = place.partition(".")
+            at, section = sections[name]
+            found[field] = _number(section, key, unit, at, **limits)
+    return found
+
+
 def _wheel(document: dict[str, Any], side: str) -> WheelCoefficients:
     at = f"wheels.{side}"
     wheel = _part(_part(document, "wheels"), side)
     valid = _part(wheel, "valid_load")
-    made = WheelCoefficients(
-        radius_ref_m=_number(wheel, "radius_ref", "m", at, above=0.0),
-        slope_m_per_N=_number(wheel, "slope", "m/N", at),
-        reference_load_N=_number(wheel, "reference_load", "N", at, low=0.0),
-        variance_radius_ref_m2=_number(wheel, "variance_radius_ref", "m^2", at, low=0.0),
-        covariance_m2_per_N=_number(wheel, "covariance_radius_ref_slope", "m^2/N", at),
-        variance_slope_m2_per_N2=_number(wheel, "variance_slope", "m^2/N^2", at, low=0.0),
-        residual_std_m=_number(wheel, "residual_std", "m", at, low=0.0),
-        load_min_N=_number(valid, "min", "N", f"{at}.valid_load", low=0.0),
-        load_max_N=_number(valid, "max", "N", f"{at}.valid_load", low=0.0),
-        counts_per_rev=_number(_part(document, "encoder"), f"counts_per_rev_{side}", "count/rev", "encoder", above=0.0),
-    )
+    numbers = _numbers(WheelCoefficients, wheel=(at, wheel), valid=(f"{at}.valid_load", valid))
+    per_rev = _number(_part(document, "encoder"), f"counts_per_rev_{side}", "count/rev", "encoder", above=0.0)
+    made = WheelCoefficients(counts_per_rev=per_rev, **numbers)
     if made.load_min_N > made.load_max_N:
         raise CoefficientError(f"{at}.valid_load: min stands above max")
     return made

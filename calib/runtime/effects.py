@@ -184,8 +184,7 @@ def _creep(effect: _Effect, step: _Step, change: _Change) -> None:
     gone = math.exp(-max(step.run.minutes_under_load, 0.0) / effect.settings["tau_min"])
     zero = effect.settings.get("centre", 0.0)
     crept = 1.0 - gone if math.isfinite(gone) else 0.0
-    change.left -= effect.size("creep_left") * (step.run.load_left_N - zero) * crept / step.radii_m[0]
-    change.right -= effect.size("creep_right") * (step.run.load_right_N - zero) * crept / step.radii_m[1]
+    _by_load(effect, step, change, "creep", lambda load_N: -(load_N - zero) * crept)
 
 
 def _load_track(effect: _Effect, step: _Step, change: _Change) -> None:

@@ -27,7 +27,7 @@ def result(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     from dataclasses import replace
 
     read = read_campaign(campaign)
-    made = replace(fit_campaign(read), provenance=provenance(read, version="0", arguments={}))
+    made = replace(fit_campaign(read), provenance=provenance(read, {}))
     folder = tmp_path_factory.mktemp("result")
     write_result(made, folder, force=True)
     return folder

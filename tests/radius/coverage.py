@@ -178,7 +178,7 @@ def band_held(fit: Fit) -> float:
     held = []
     for wheel in fit.wheels.values():
         load = np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, 9)
-        low, high = wheel.mean_band_m(load)
+        low, high = wheel.band_m(load, single_run=False)
         truth = RADIUS_M + SLOPE_M_PER_N * (load - REFERENCE_N)
         held.append((low <= truth) & (truth <= high))
     return float(np.mean(held))

@@ -88,8 +88,10 @@ def test_a_scale_of_the_weighing_moves_slope_and_centre() -> None:
 
 def test_bands_hold_it_too() -> None:
     plain, more = fit_campaign(campaign()), fit_campaign(declared(rangefinder={"scale": {"std": SCALE}}))
-    for fit_band in ("mean_band_m", "prediction_band_m"):
-        widths = [np.subtract(*reversed(getattr(fit.left, fit_band)([300.0, 700.0]))) for fit in (plain, more)]
+    for single_run in (False, True):
+        widths = [
+            np.subtract(*reversed(fit.left.band_m([300.0, 700.0], single_run=single_run))) for fit in (plain, more)
+        ]
         assert (widths[1] > widths[0]).all()
 
 

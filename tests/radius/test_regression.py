@@ -103,7 +103,7 @@ def test_the_reference_load_moves_the_coefficients_along_the_same_line(reference
     other = fit_wheel("left", load, radius, session, reference_load_N=reference)
     at = np.array([200.0, 650.0, 1100.0])
     np.testing.assert_allclose(other.law.radius_m(at), one.law.radius_m(at), rtol=1e-12)  # rounding
-    np.testing.assert_allclose(other.mean_band_m(at), one.mean_band_m(at), rtol=1e-9)
+    np.testing.assert_allclose(*(fit.band_m(at, single_run=False) for fit in (other, one)), rtol=1e-9)
     np.testing.assert_allclose(other.law.mean_std_m(at), one.law.mean_std_m(at), rtol=1e-6)
 
 
@@ -113,14 +113,15 @@ def test_bands_agree_with_the_textbook_where_runs_are_independent() -> None:
     oracle = OLS(radius, np.column_stack((np.ones(60), load))).fit()
     at = np.array([250.0, 700.0, 1000.0])
     frame = oracle.get_prediction(np.column_stack((np.ones(3), at))).summary_frame(alpha=0.05)
-    np.testing.assert_allclose(fit.mean_band_m(at), frame[["mean_ci_lower", "mean_ci_upper"]].T, rtol=1e-10)  # rounding
-    np.testing.assert_allclose(fit.prediction_band_m(at), frame[["obs_ci_lower", "obs_ci_upper"]].T, rtol=1e-10)
+    mean_m, prediction_m = (fit.band_m(at, single_run=single) for single in (False, True))
+    np.testing.assert_allclose(mean_m, frame[["mean_ci_lower", "mean_ci_upper"]].T, rtol=1e-10)  # rounding
+    np.testing.assert_allclose(prediction_m, frame[["obs_ci_lower", "obs_ci_upper"]].T, rtol=1e-10)
 
 
 def test_the_prediction_band_of_sixty_runs_is_several_times_the_band_of_the_mean() -> None:
     load, radius, _ = runs(crossed=True)
     fit = fit_wheel("left", load, radius, np.full(60, "one"), reference_load_N=300.0)
-    width = [np.diff(band(650.0), axis=0)[0] for band in (fit.mean_band_m, fit.prediction_band_m)]
+    width = [np.diff(fit.band_m(650.0, single_run=single), axis=0)[0] for single in (False, True)]
     # sqrt(61) at the mean load, 4.6 on average over the range
     assert 4.6 < width[1] / width[0] < 8.0
 
@@ -130,10 +131,11 @@ def test_the_band_at_a_load_is_students_t_times_the_standard_uncertainty_there(c
     """At the mean load of crossed sessions it is the interval of the session means, by hand."""
     load, radius, session = runs(crossed)
     fit = fit_wheel("left", load, radius, session, reference_load_N=300.0)
-    for single, std in ((False, fit.law.mean_std_m), (True, fit.law.prediction_std_m)):
+    mean_std_m = fit.law.mean_std_m(LOADS)
+    for single, std_m in ((False, mean_std_m), (True, np.hypot(mean_std_m, fit.law.residual_std_m))):
         k = stats.t.ppf(0.975, fit.law.dof_of(fit.law.contrast(LOADS), single_run=single))
         # to the tolerance of the inverse of Student's t
-        np.testing.assert_allclose(fit.law.half_width_m(LOADS, single_run=single), k * std(LOADS), rtol=1e-7)
+        np.testing.assert_allclose(fit.law.half_width_m(LOADS, single_run=single), k * std_m, rtol=1e-7)
     at_reference = 0.5 * np.diff(fit.radius_ref_ci95_m)[0]
     np.testing.assert_allclose(fit.law.half_width_m(300.0), at_reference, rtol=1e-9)  # rounding
     means = [radius[session == one].mean() for one in np.unique(session)]

@@ -6,18 +6,23 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict
 from calib.reporting.figures.gap import GapArrays, distinct
 from calib.reporting.formatting import natural
 from calib.reporting.interactive import gap_along_runs, panel_columns, run_paths
 from tests.kinematics.campaigns import Leg, Truth, campaign
 
+ROOT = Path(__file__).parents[2]
 #: noise of the reference
 SIGMA_M, SIGMA_RAD = 5e-4, 5e-4
 BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -76,6 +81,15 @@ def test_the_causes_bring_the_path_to_the_reference(along: Campaign, diagnosis: 
     ]
     before, after = (float(np.sqrt(np.mean(one**2))) for one in apart)
     assert after < 0.2 * before
+
+
+def test_the_path_of_a_run_without_a_log_has_times() -> None:
+    """The slider of the time ends with the longest; such a run counts as driven at 1 m/s."""
+    read = read_campaign(ROOT / "sample_runs/yard", logs=False)
+    nominal = predict(observations_of(read))
+    drawn = SimpleNamespace(observations=nominal.s, nominal=nominal, correction=SimpleNamespace(path=nominal))
+    for path in run_paths(drawn, read)["before"]:  # type: ignore[arg-type]
+        assert (np.diff(path[:, 0]) > 0.0).all() and path[0, 0] == 0.0
 
 
 def test_runs_count_from_one_and_names_sort_as_people_count(along: Campaign, diagnosis: Diagnosis) -> None:

@@ -60,7 +60,7 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[_ShownRun]:
     sources: dict[str, PredictedPath] = {"simulated": diagnosis.nominal}
     if diagnosis.causes:
         sources["corrected"] = diagnosis.fitted.path
-    predicted = {name: _predicted(source) for name, source in sources.items()}
+    predicted = {name: tracks_of(source) for name, source in sources.items()}
     tables = dict(zip(NUMBERS, (held_out.before, held_out.after, held_out.floor), strict=True))
     labels = observations.labels
     for number, measured in enumerate(measured_poses(campaign, observations)):
@@ -84,7 +84,8 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[_ShownRun]:
         yield label, float(time_s[-1]), paths, numbers
 
 
-def _predicted(path: PredictedPath) -> list[Track]:
+def tracks_of(path: PredictedPath) -> list[Track]:
+    """Return the predicted track of each observation; without a log it is driven at 1 m/s."""
     s, ds_m = path.s, path.steps.ds_m
     tracks = []
     for poses, (first, last) in zip(path.traces(), pairwise(s.starts.tolist()), strict=True):

@@ -99,9 +99,8 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
         centre = law.radius_m(load)
         upper, lower = axes[0, column], axes[1, column]
         for axis, scale, zero in ((upper, MM, np.zeros_like(load)), (lower, UM, centre)):
-            bands = {"prediction band": (0.13, fit.prediction_band_m), "band of the mean": (0.38, fit.mean_band_m)}
-            for label, (alpha, band) in bands.items():
-                low, high = (scale * (end - zero) for end in band(load))
+            for label, alpha, single_run in (("prediction band", 0.13, True), ("band of the mean", 0.38, False)):
+                low, high = (scale * (end - zero) for end in fit.band_m(load, single_run=single_run))
                 axis.fill_between(load, low, high, color=BLUE, alpha=alpha, lw=0, label=label)
             axis.plot(load, scale * (centre - zero), color=style.INK, lw=1.0, label="law")
             axis.tick_params(labelleft=True)

@@ -13,7 +13,7 @@ from calib.challenge.score import TARGETS, Score, Share, wilson
 from calib.errors import BadInputError
 from calib.fleet.run import Fleet, drifts_of
 from calib.fleet.vehicle import WHEELS, Drift, VehicleRecord
-from calib.io import refuse_existing, write_bytes
+from calib.io import write_bytes
 from calib.reporting.blocks import Drawings
 from calib.reporting.figures import style
 from calib.reporting.figures.style import BLUE, GREY, INK, ORANGE, canvas, draw_ordered, figure_title, render, styled
@@ -143,11 +143,9 @@ def confusion_figure(score: Score) -> Figure:
 
 def save(figure: Figure, path: Path, *, force: bool = False) -> Path:
     """Save a figure as PNG, SVG or PDF; raises BadInputError for another suffix, or a file that exists."""
-    path = Path(path)
     form = path.suffix.lower()[1:]
     if form not in style.FORMS:
         raise BadInputError(f"{path}: found {path.suffix!r}; expected .png, .svg or .pdf; choose one of these")
-    refuse_existing([path], force=force)
     return write_bytes(path, render(figure, form), force=force)
 
 

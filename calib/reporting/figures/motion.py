@@ -132,8 +132,13 @@ _AXES: Final = {
 }
 
 #: how the paths of a journey under a law are drawn
-_WITHOUT: Final[Any] = {"color": ORANGE, "linestyle": "--", "linewidth": 1.3}
-_WITH: Final[Any] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3}
+_WITHOUT: Final[Any] = {
+    "color": ORANGE,
+    "linestyle": "--",
+    "linewidth": 1.3,
+    "label": "radii of the reference load, kept",
+}
+_WITH: Final[Any] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "label": "radii that follow the load"}
 
 
 @styled
@@ -160,8 +165,8 @@ def law_errors_figure(path: LawPath, *, title: str) -> Figure:
         graph.plot(path.distance_m, factor * getattr(path.without.errors, name), **_WITHOUT)
         _mark_changes(graph, path)
     keys = [
-        Line2D([], [], label="radii of the reference load, kept", **_WITHOUT),
-        Line2D([], [], label="radii that follow the load", **_WITH),
+        Line2D([], [], **_WITHOUT),
+        Line2D([], [], **_WITH),
         Patch(facecolor=SKY, alpha=0.5, label="its 2 standard uncertainties"),
     ]
     if len(path.loading.from_m) > 1:
@@ -189,8 +194,8 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
         angle = float(np.degrees(drawn_ellipses.angle_rad[k]))
         place = (route.x_m[k], route.y_m[k])
         plan.add_patch(Ellipse(place, *size, angle=angle, facecolor=SKY, edgecolor=BLUE, alpha=0.6))
-    plan.plot(path.without.poses.x_m, path.without.poses.y_m, label="radii of the reference load, kept", **_WITHOUT)
-    plan.plot(route.x_m, route.y_m, label="radii that follow the load", color=BLUE, linewidth=2.6)
+    plan.plot(path.without.poses.x_m, path.without.poses.y_m, **_WITHOUT)
+    plan.plot(route.x_m, route.y_m, **_WITH | {"linewidth": 2.6})
     plan.plot(path.reference.x_m, path.reference.y_m, color=INK, linewidth=0.8, label="route")
     stops = np.searchsorted(path.distance_m, path.loading.from_m[1:] - 1e-9)
     if len(stops):

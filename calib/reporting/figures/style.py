@@ -208,7 +208,6 @@ def write_figures(
 
     Raises BadInputError where a file exists, unless `force`; nothing is then written.
     """
-    folder = Path(folder)
     if folder.exists() and not folder.is_dir():
         raise BadInputError(f"{folder}: found a file; expected a folder for the figures; choose another path")
     refuse_existing(figure_paths(folder, figures), force=force)
