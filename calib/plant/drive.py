@@ -19,8 +19,8 @@ _PAUSE_S: Final = 0.8
 _BLOCK: Final = 128
 _SIDES: Final = np.array([[-1.0], [1.0]])
 #: what a frame holds, in order: motion, counts of three wheels, the vehicle's own odometry, the pose as it was
-_MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "omega_radps", "steer_rad", "late_rad")
-_COUNTS, _ODO, _PAST, _SIZE = 8, 11, 15, 18
+_MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "steer_rad", "late_rad")
+_COUNTS, _ODO, _PAST, _SIZE = 7, 10, 14, 17
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,18 +35,17 @@ class Record:
     y_m: FloatArray
     theta_rad: FloatArray
     v_mps: FloatArray
-    omega_radps: FloatArray
     steer_rad: FloatArray
     late_rad: FloatArray
     #: shape (3, n_frames, n_runs): counters left, right, front since the start; whole numbers where quantised
     counts: FloatArray
     odo: FloatArray  #: shape (4, n_frames, n_runs): the vehicle's own odometry: x, y, theta, path length
     past: FloatArray  #: shape (3, n_frames, n_runs): true x, y, theta the reference's latency ago
-    ends: FloatArray  #: shape (18, n_driven): last frame of every run, logged or not
+    ends: FloatArray  #: shape (17, n_driven): last frame of every run, logged or not
 
     @staticmethod
     def of(frames: IntArray, stacked: FloatArray, ends: FloatArray) -> "Record":
-        """Return the record of frames (18, n_frames, n_runs); see `_Runs.frame`."""
+        """Return the record of frames (17, n_frames, n_runs); see `_Runs.frame`."""
         motion = dict(zip(_MOTION, stacked[:_COUNTS], strict=True))
         counts, odo, past = stacked[_COUNTS:_ODO], stacked[_ODO:_PAST], stacked[_PAST:]
         return Record(frames=frames, **motion, counts=counts, odo=odo, past=past, ends=ends)
@@ -156,16 +155,15 @@ class _Runs:
         self.past_poses = _Past(3, world.latency_s, step_s) if world.latency_s.any() else None
 
     def frame(self, at: slice | IntArray) -> FloatArray:
-        """Return what a record has of these runs now, shape (18, n_runs)."""
+        """Return what a record has of these runs now, shape (17, n_runs)."""
         now, counted = self.now, self.angle[:, at] * self.per_rad
         if self.quantise:
             counted = np.floor(counted + self.noise.phase[:, at])
         late = self.past.read(at)[0]
         frame = np.empty((_SIZE, len(late)))
         frame[0], frame[1], frame[2], frame[3] = now.t_s, now.x_m[at], now.y_m[at], now.theta_rad[at]
-        frame[4] = now.v_mps[at]
-        frame[5] = frame[4] * now.curvature_per_m[at]
-        frame[6], frame[7], frame[_COUNTS:_ODO], frame[_ODO:_PAST] = self.steering[at], late, counted, self.odo[:, at]
+        frame[4], frame[5], frame[6] = now.v_mps[at], self.steering[at], late
+        frame[_COUNTS:_ODO], frame[_ODO:_PAST] = counted, self.odo[:, at]
         frame[_PAST:] = frame[1:4] if self.past_poses is None else self.past_poses.read(at)
         return frame
 

@@ -215,7 +215,9 @@ def _side_slip(effect: _Effect, step: _Step, change: _Change) -> None:
 
 
 def _direction(effect: _Effect, step: _Step, change: _Change) -> None:
-    _both(change, effect.size("relative") * (-1.0 if step.run.direction == "back" else 1.0))
+    rolls_back = max(step.nominal.left_m, step.nominal.right_m) < 0.0
+    back = rolls_back if "rolling" in effect.form else step.run.direction == "back"
+    _both(change, effect.size("relative") * (-1.0 if back else 1.0))
 
 
 def _drag(effect: _Effect, step: _Step, change: _Change) -> None:
