@@ -11,7 +11,7 @@ groups of segments, and of whole runs, where it explains more of the residual th
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from typing import Final
 
@@ -84,7 +84,7 @@ def find_blunder(
     ``front``, ``wheels``, ``shaft``); `divide` cuts a recording into segments by a campaign's nominal vehicle.
     """
     try:
-        divide(campaign, recording)
+        whole = divide(campaign, recording).are_runs_of(recording)
     except CalibError:
         # no reading brings a reference
         return None
@@ -104,18 +104,20 @@ def find_blunder(
             return Trial(np.inf, False, 0.0)
         return _tried(stated, changed, driven, divide, sensor)
 
-    as_it_stands, turned = tried(unchanged), tried(unchanged, sensor=MOUNTED, screened=True)
+    as_it_stands, without = tried(unchanged), cache(partial(tried, screened=True))
+    # the sensor is none of whole runs' parameters
+    turned = as_it_stands if whole else tried(unchanged, sensor=MOUNTED, screened=True)
     # impossible lengths explain nothing, and a sensor that is turned a little no reading
     enough = min([SMALL_SHARE, *(CLEARLY_LESS * trial.share for trial in (as_it_stands, turned) if trial.plausible)])
     best: list[tuple[Trial, Reading]] = []
     for reading in readings(recording, per_rev, drive, as_it_stands.turned_rad, plausible=as_it_stands.plausible):
         trial = tried(reading.change, reading.setting, screened=True)
-        if trial.plausible and trial.share >= enough:
+        if trial.plausible and trial.share >= enough and not whole:
             trial = tried(reading.change, reading.setting, MOUNTED)
         if not trial.plausible or trial.share >= enough:
             continue
-        without = tried(reading.zeroed, screened=True) if reading.zeroed else None
-        if without is None or not without.plausible or trial.share < CLEARLY_LESS * without.share:
+        zeroed = without(reading.zeroed) if reading.zeroed else None
+        if zeroed is None or not zeroed.plausible or trial.share < CLEARLY_LESS * zeroed.share:
             best.append((trial, reading))
     if not best:
         return None
