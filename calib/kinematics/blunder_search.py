@@ -11,7 +11,7 @@ groups of segments, and of whole runs, where it explains more of the residual th
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from itertools import pairwise
 from typing import Final
 
@@ -21,12 +21,12 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import smoothed_speed_mps
 from calib.errors import CalibError
 from calib.kinematics import drives
-from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.kinematics.model import Model, Segments, measured_between
 from calib.kinematics.readings import Change, Reading, Setting, implausible, readings, unchanged
 from calib.kinematics.recording import Recording
+from calib.kinematics.rough_fit import residual_share, rough_fit
 from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import whitened
 from calib.types import FloatArray
@@ -46,16 +46,15 @@ TRIAL_ROUNDS: Final = 6
 TRIAL_NOISE_ROUNDS: Final = 1
 #: and up to a step of less log likelihood
 TRIAL_STEADY: Final = 0.1
-#: of more than twice so many runs, so many, shortest and longest among them, rule out what leaves this many times more
-#: than a reading may leave of all
-SCREENED_RUNS: Final = 16
+#: a reading that leaves twice as much in a rough fit, or lengths twice as far off as plausible, is not tried: a wrong
+#: one mostly leaves ten times as much
 SCREENED: Final = 2.0
+#: of more than twice so many runs, so many, shortest and longest among them, tell
+SCREENED_RUNS: Final = 16
 #: readings within this factor of the least are alike: the first, the simplest, is named
 ALIKE: Final = 1.3
 #: lengths further from nominal are no calibration
 PLAUSIBLE_CHANGE: Final = 0.2
-#: turns of less say little: added to the rotation that heading residuals are relative to
-LEAST_TURN_RAD: Final = 0.2
 #: of the sensor, found beside the lengths; its yaw would be a reading's
 PLACE: Final = ("sensor_x_m", "sensor_y_m", "delay_s")
 MOUNTED: Final = (*PLACE, "sensor_yaw_rad")
@@ -84,34 +83,41 @@ def find_blunder(
     The campaign states vehicle, encoder and noise of the reference. `source`: wheels that drive the odometry (``rear``,
     ``front``, ``wheels``, ``shaft``); `divide` cuts a recording into segments by a campaign's nominal vehicle.
     """
+    try:
+        whole = divide(campaign, recording).are_runs_of(recording)
+    except CalibError:
+        # no reading brings a reference
+        return None
     per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)
     drive = drive_of(campaign, source, recording)
     travel_rad = recording.travel_rad[recording.offsets[1:] - 1]
     some = np.argsort(travel_rad)[np.linspace(0, len(recording) - 1, SCREENED_RUNS).astype(int)]
+    many = len(recording) > 2 * SCREENED_RUNS
 
     def tried(
-        change: Change, setting: Setting | None = None, sensor: tuple[str, ...] = PLACE, *, of_some: bool = False
+        change: Change, setting: Setting | None = None, sensor: tuple[str, ...] = PLACE, *, screened: bool = False
     ) -> Trial:
         stated = setting(campaign) if setting else campaign
         driven = drive_of(stated, source, recording) if setting else drive
         changed = change(recording)
-        return _tried(stated, changed.select(some) if of_some else changed, driven, divide, sensor)
+        if screened and _hopeless(stated, changed.select(some) if many else changed, driven, divide):
+            return Trial(np.inf, False, 0.0)
+        return _tried(stated, changed, driven, divide, sensor)
 
-    as_it_stands, turned = tried(unchanged), tried(unchanged, sensor=MOUNTED)
+    as_it_stands, without = tried(unchanged), cache(partial(tried, screened=True))
+    # the sensor is none of whole runs' parameters
+    turned = as_it_stands if whole else tried(unchanged, sensor=MOUNTED, screened=True)
     # impossible lengths explain nothing, and a sensor that is turned a little no reading
     enough = min([SMALL_SHARE, *(CLEARLY_LESS * trial.share for trial in (as_it_stands, turned) if trial.plausible)])
     best: list[tuple[Trial, Reading]] = []
-    many = len(recording) > 2 * SCREENED_RUNS
     for reading in readings(recording, per_rev, drive, as_it_stands.turned_rad, plausible=as_it_stands.plausible):
-        if many and tried(reading.change, reading.setting, MOUNTED, of_some=True).share >= SCREENED * enough:
-            continue
-        trial = tried(reading.change, reading.setting)
-        if trial.plausible and trial.share >= enough:
+        trial = tried(reading.change, reading.setting, screened=True)
+        if trial.plausible and trial.share >= enough and not whole:
             trial = tried(reading.change, reading.setting, MOUNTED)
         if not trial.plausible or trial.share >= enough:
             continue
-        without = tried(reading.zeroed) if reading.zeroed else None
-        if without is None or not without.plausible or trial.share < CLEARLY_LESS * without.share:
+        zeroed = without(reading.zeroed) if reading.zeroed else None
+        if zeroed is None or not zeroed.plausible or trial.share < CLEARLY_LESS * zeroed.share:
             best.append((trial, reading))
     if not best:
         return None
@@ -122,45 +128,60 @@ def find_blunder(
     return chosen.setting(campaign) if chosen.setting else campaign, chosen.change(recording), chosen.blunder
 
 
+def _model_of(
+    campaign: Campaign, recording: Recording, drive: drives.Drive, divide: Divide, sensor: tuple[str, ...]
+) -> tuple[Model, drives.Parameters]:
+    model = Model(drive, recording, divide(campaign, recording))
+    # a lever arm would be a share of each window's short way; whole runs do not tell it from other readings
+    placed = () if model.segments.are_runs_of(recording) else sensor
+    items = drives.parameters_of(drive, campaign.reference)
+    return model, drives.Parameters.of(items, [*(item.name for item in drive.parameters), *placed])
+
+
+def _hopeless(campaign: Campaign, recording: Recording, drive: drives.Drive, divide: Divide) -> bool:
+    try:
+        model, parameters = _model_of(campaign, recording, drive, divide, MOUNTED)
+        # without headings no linear step tells how a path bends
+        if not model.segments.seen[:, 2].all():
+            return False
+        with np.errstate(all="ignore"):
+            values, share = rough_fit(model, parameters, SCREENED * SMALL_SHARE)
+    except (CalibError, np.linalg.LinAlgError, ValueError):
+        return True
+    near = _near_nominal(campaign, drive, values, SCREENED * PLAUSIBLE_CHANGE)
+    return not (near and share < SCREENED * SMALL_SHARE)
+
+
+def _near_nominal(campaign: Campaign, drive: drives.Drive, values: FloatArray, most: float) -> bool:
+    return not any(
+        implausible(item.name, float(value) / item.nominal, most, campaign.vehicle.drive)
+        for item, value in zip(drive.parameters, values, strict=False)
+        if item.nominal and not item.name.startswith(("steering", "slope"))
+    )
+
+
 def _tried(
     campaign: Campaign, recording: Recording, drive: drives.Drive, divide: Divide, sensor: tuple[str, ...] = PLACE
 ) -> Trial:
-    items = drives.parameters_of(drive, campaign.reference)
     scales = drives.first_scales(campaign.reference)
     rounds = (TRIAL_ROUNDS, TRIAL_NOISE_ROUNDS, TRIAL_STEADY)
     try:
-        model = Model(drive, recording, divide(campaign, recording))
-        # a lever arm would be a share of each window's short way; whole runs do not tell it from other readings
-        placed = () if model.segments.are_runs_of(recording) else sensor
-        parameters = drives.Parameters.of(items, [*(item.name for item in drive.parameters), *placed])
+        model, parameters = _model_of(campaign, recording, drive, divide, sensor)
         with np.errstate(all="ignore"):
             solution = solve(model, parameters, parameters.nominal, scales, *rounds)
             values, residuals = solution.values, solution.prediction.residuals
-            path, rotation = travelled(model, values)
+            share = residual_share(model, values, residuals)
     except (CalibError, np.linalg.LinAlgError, ValueError):
         return Trial(np.inf, False, 0.0)
-    share = np.square(np.hypot(residuals[:, 0], residuals[:, 1]) / np.maximum(path, 1e-9))
-    share += np.square(residuals[:, 2] / (rotation + LEAST_TURN_RAD))
     measured = model.segments.measured
     ahead, seen = (part[:, 0] + 1j * part[:, 1] for part in (measured - residuals, measured))
     turned = float(np.angle(np.vdot(ahead, seen)))
     stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
     found = dict(zip(parameters.names, values.tolist(), strict=True))
     near = 1.0 / SAME_LENGTH < stretched < SAME_LENGTH and abs(turned) < SAME_WAY_RAD
-    near = near and not any(
-        implausible(item.name, found[item.name] / item.nominal, PLAUSIBLE_CHANGE, campaign.vehicle.drive)
-        for item in drive.parameters
-        if item.nominal and not item.name.startswith(("steering", "slope"))
-    )
+    near = near and _near_nominal(campaign, drive, values, PLAUSIBLE_CHANGE)
     scale = float(np.mean([found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]))
-    return Trial(_trimmed(share), near, turned, (scale, found.get(drives.STEERING_SCALE, 1.0)))
-
-
-def _trimmed(squares: FloatArray) -> float:
-    if not len(squares) or not np.isfinite(squares).all():
-        return np.inf
-    kept = len(squares) - max(1, int(FEW_OUTLIERS * len(squares)))
-    return float(np.sqrt(np.mean(np.sort(squares)[: max(kept, 1)])))
+    return Trial(share, near, turned, (scale, found.get(drives.STEERING_SCALE, 1.0)))
 
 
 #: standard deviations by which a size must stand out: a few departures are tried, with the scatter of few groups

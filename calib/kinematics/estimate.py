@@ -256,7 +256,9 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
     task.progress(0, 0, "blunders")
 
     def divided(campaign: Campaign, other: Recording) -> Segments:
-        return next(divisions(replace(task, campaign=campaign).with_whole_turns(other)[0], task.way))
+        if task.way == "end_poses":
+            other, _ = replace(task, campaign=campaign).with_whole_turns(other)
+        return next(divisions(other, task.way))
 
     found = blunder_search.find_blunder(task.campaign, recording, task.source, divided)
     if found is None:

@@ -12,6 +12,14 @@ from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 #: windows as parts of a block: whole, half, quarter
 LEVELS: Final = (1.0, 0.5, 0.25)
+#: begin, end and level of each in a block, overlapping by half
+WINDOWS: Final = np.array(
+    [
+        (0.5 * share * start, 0.5 * share * (start + 2), level)
+        for level, share in enumerate(LEVELS)
+        for start in range(round(2 / share) - 1)
+    ]
+).T
 #: half a chord, as a part of a block: the whole is as long as the shortest window
 HALF_CHORD: Final = 0.5 * LEVELS[-1]
 #: chords below this part of the usual one tell a direction by mostly noise
@@ -109,19 +117,17 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
         anywhere, half = parts[2] or by_course[run], HALF_CHORD * length * by_course[run]
         n_blocks = max(1, round(float(ends[run]) / length)) if anywhere else 1
         edges = np.linspace(travel[samples[0]] + half, travel[samples[-1]], n_blocks + 1)
-        low, size = edges[:-1, None], np.diff(edges)[:, None]
-        for level, share in enumerate(LEVELS):
-            starts = np.arange(0.0, 1.0 - share + 1e-9, 0.5 * share if share < 1.0 else 1.0)
-            starts = starts if anywhere else starts[:1]
-            first = samples[_nearest(travel[samples], (low + starts * size).ravel())]
-            last = samples[_nearest(travel[samples], (low + (starts + share) * size).ravel())]
-            of_block = np.repeat(block + np.arange(n_blocks), len(starts))
-            chord = [
-                samples[_nearest(travel[samples], travel[first] + off)] if half else first for off in (-half, half)
-            ]
-            piece = np.stack(np.broadcast_arrays(run, first, last, of_block, level, *chord))[:, last > first]
-            seen.append(np.repeat(parts[None], piece.shape[1], axis=0))
-            pieces.append(piece)
+        mine = WINDOWS if anywhere else WINDOWS[:, WINDOWS[0] == 0.0]
+        order = np.argsort(np.tile(mine[2], n_blocks), kind="stable")
+        wanted = edges[:-1, None] + mine[:2, None] * np.diff(edges)[:, None]
+        first, last = samples[_nearest(travel[samples], wanted.reshape(2, -1)[:, order])]
+        of_block, level = np.divmod(order, mine.shape[1])
+        beside = travel[first] + np.array([[-half], [half]])
+        chord = samples[_nearest(travel[samples], beside)] if half else (first, first)
+        same = np.full_like(first, run)
+        piece = np.stack([same, first, last, block + of_block, mine[2, level].astype(int), *chord])[:, last > first]
+        seen.append(np.repeat(parts[None], piece.shape[1], axis=0))
+        pieces.append(piece)
         block += n_blocks
     if not sum(piece.shape[1] for piece in pieces):
         found = "windows: found no reference along the path"
@@ -206,6 +212,19 @@ class Model:
         motion = self.motion(values)
         path = drives.integrate_motion(replace(motion, by_parameter=motion.by_parameter[:0]))
         return self.predict(values, path).residuals
+
+    def turns(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the headings' residuals, shape (n,), and derivatives, (n, n_parameters); no path is integrated."""
+        motion, segments, t_s = self.motion(values), self.segments, self.recording.t_s
+        low, high = self.recording.offsets[segments.run], self.recording.offsets[segments.run + 1] - 1
+        total = np.cumsum(np.vstack([motion.body[2], motion.by_parameter[:, 2]]), axis=1)
+        turn, *by = total[:, segments.last] - total[:, segments.first]
+        by_delay = np.subtract(*(_velocity(total[0], t_s, at, low, high) for at in (segments.first, segments.last)))
+        scale, delayed = np.where(segments.gyro, values[-5], 1.0), turn + values[-1] * by_delay
+        by_sensor = [segments.gyro * delayed, *np.zeros((3, len(turn))), scale * by_delay]
+        jacobian = np.stack([*(scale * each for each in by), *by_sensor], axis=1)
+        seen = segments.seen[:, 2]
+        return seen * (segments.measured[:, 2] - scale * delayed), seen[:, None] * jacobian
 
 
 def _at_times(

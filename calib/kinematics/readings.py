@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import Final
 
 import numpy as np
@@ -111,6 +111,7 @@ def _linear(matrix: Sequence[Sequence[float]]) -> Change:
     return _referred(lambda pose: np.asarray(np.array(matrix) @ np.nan_to_num(pose) + 0.0 * pose))
 
 
+@cache
 def _scaled(x: float, y: float, theta: float) -> Change:
     return _linear([[x, 0, 0], [0, y, 0], [0, 0, theta]])
 

@@ -162,13 +162,12 @@ class Recording:
 
     def with_reference(self, reference: FloatArray) -> "Recording":
         """Return the recording with another reference, shape (3, n_samples), and its ends."""
-        ends, references = self.end_pose.copy(), np.stack([reference, self.reference])
-        for run, (first, last) in enumerate(pairwise(self.offsets.tolist())):
-            both = references[:, :, first:last]
-            known = np.flatnonzero(np.isfinite(both).all(axis=(0, 1)))
-            if len(known) > 1:
-                after, before = (moved_between(np.nan_to_num(part), known[:1], known[-1:])[0] for part in both)
-                ends[run] += after - before
+        known = np.isfinite(reference).all(axis=0) & np.isfinite(self.reference).all(axis=0)
+        at, begin = np.arange(len(self.t_s)), self.offsets[:-1]
+        first = np.minimum.reduceat(np.where(known, at, len(at) - 1), begin)
+        last = np.maximum.reduceat(np.where(known, at, 0), begin)
+        after, before = (moved_between(np.nan_to_num(part), first, last) for part in (reference, self.reference))
+        ends = np.where((last > first)[:, None], self.end_pose + (after - before), self.end_pose)
         return replace(self, reference=reference, end_pose=ends)
 
     def with_turned(self, turned_rad: FloatArray) -> "Recording":

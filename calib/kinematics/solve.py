@@ -266,7 +266,7 @@ def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
 
 
 def _weighted(problem: _Linear, jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
-    scaled = jacobian * np.tile(weights, 3)[:, None]
+    scaled = (jacobian.reshape(3, -1, jacobian.shape[1]) * weights[:, None]).reshape(jacobian.shape)
     normal = scaled.T @ jacobian + problem.pull.T @ problem.pull
     normal.flat[:: len(normal) + 1] += RIDGE * max(float(np.trace(normal)) / max(len(normal), 1), 1.0)
     return np.asarray(np.linalg.solve(normal, residuals @ scaled + problem.off @ problem.pull))
