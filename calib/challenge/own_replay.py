@@ -98,26 +98,13 @@ def _side(angle: FloatArray, last: IntArray) -> FloatArray:
 
 
 #: before the speed is differentiated: counters come in whole steps
-SMOOTH_S: Final = 0.5
+SMOOTH_S, MOST_STEPS = 0.5, 50
 STRAIGHT_RAD: Final = 0.5
 ZERO_WHERE_UNKNOWN: Final = ("payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load")
 #: what the log gives of a moment
 LOGGED: Final = ("v_mps", "acceleration_mps2", "curvature_per_m", "angle_left_rad", "angle_right_rad")
 
 Act = Callable[[World], None]
-
-
-def _smoothed(speed: FloatArray, duration: FloatArray, lengths: IntArray) -> FloatArray:
-    known = duration[duration > 0]
-    half = int(np.clip(np.rint(0.5 * SMOOTH_S / np.median(known)), 0, 50)) if len(known) else 0
-    if half == 0:
-        return speed
-    running = np.concatenate([np.zeros((1, speed.shape[1])), np.cumsum(speed, axis=0)])
-    index = np.arange(len(speed))[:, None]
-    first, end = np.maximum(index - half, 0), np.minimum(index + half + 1, lengths)
-    units = np.arange(speed.shape[1])
-    mean = (running[np.maximum(end, first), units] - running[first, units]) / np.maximum(end - first, 1)
-    return np.where(index < lengths, mean, 0.0)
 
 
 def _design(observations: Observations) -> Design:
@@ -187,7 +174,9 @@ class Replay:
 
         same = ("roll_left_rad", "roll_right_rad", "duration_s", "time_s", "curvature_per_m")
         steps = {name: wide(getattr(observations, name)) for name in same}
-        speed = _smoothed(wide(observations.speed_mps), steps["duration_s"], lengths)
+        known = observations.duration_s[observations.duration_s > 0.0]
+        half = int(np.clip(np.rint(0.5 * SMOOTH_S / np.median(known)), 0, MOST_STEPS)) if len(known) else 0
+        speed = wide(observations.smoothed(observations.speed_mps, half))
         change = np.diff(speed, axis=0, prepend=speed[:1])
         front = observations.model.front or FrontModel(0.0, 1.0)
         if observations.by_front:

@@ -86,7 +86,7 @@ def ingest(
 def _describe(sources: list[Path]) -> None:
     from calib.campaign.ingest.describe import describe
 
-    with terminal.waiting("looking"):
+    with terminal.progress("looking"):
         description = describe(sources)
     terminal.emit_json(description.to_dict())
     if not terminal.wants_stdout():
@@ -208,7 +208,7 @@ def simulate(
     odd, in_hall = _some(outliers, 20, vehicles, "outliers"), _some(common, 40, vehicles, "common")
     slow = _some(drifting, 5, vehicles - odd, "drifting")
     truth: FleetTruth | PosedTruth
-    with terminal.waiting("driving"):
+    with terminal.progress("driving"):
         if poses:
             size = FleetSize(vehicles, runs, n_outliers=odd, n_common=in_hall)
             truth = make_posed_fleet(into, default_rng(seed), size)

@@ -72,7 +72,7 @@ def run(
     if html is not None:
         from calib.reporting.pages import diagnosis_page
 
-        with terminal.waiting("making the page"):
+        with terminal.progress("making the page"):
             page = diagnosis_page(diagnosis, read)
         terminal.save(html, page)
     terminal.draw(figures, lambda: named("figures", "gap.gap_figures")(diagnosis))
@@ -127,10 +127,9 @@ def _apply(
 def _simulated(
     campaign: "Campaign", simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: "Progress"
 ) -> "tuple[Diagnosis, str]":
-    from calib.campaign.log_reading import cache_folder
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE
-    from calib.gap.simulator.settings import read_settings
+    from calib.gap.simulator.settings import cache_folder, read_settings
     from calib.reporting.formatting import plural
 
     refuse_workers(workers)
@@ -143,7 +142,7 @@ def _simulated(
     try:
         done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=counted)
     except KeyboardInterrupt:
-        if (runs := finished[RUNS_STAGE]) and cache_folder("simulator") is not None:
+        if (runs := finished[RUNS_STAGE]) and cache_folder() is not None:
             terminal.keep(f"results of {plural(runs, 'run')} of the simulator, which will not run again")
         raise
     return done.diagnosis, done.runs.sentence
@@ -177,7 +176,7 @@ def effects(
 
     Example: calib effects track_width --figures pictures
     """
-    with terminal.waiting("looking"):
+    with terminal.progress("looking"):
         nominal, entries, runs = _catalogued(effect, campaign)
     shown = {f"signature-{one.effect.id}": one.signature for one in entries if one.signature is not None}
     drawable = {name.replace(":", "-"): signature for name, signature in shown.items()}

@@ -175,7 +175,7 @@ def deviation(
     from calib.radius import deviation as table
     from calib.reporting.topics.runs import arc_content, runs_content, weave_content
 
-    with terminal.waiting("reading"):
+    with terminal.progress("reading"):
         read = None if campaign is None else read_campaign(campaign)
         judged = None if read is None else table.judge_runs(read, tolerance)
     distance_m, track_m = table.table_setting(read, distance, track)

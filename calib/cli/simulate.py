@@ -148,7 +148,7 @@ def journey(
         raise BadInputError("--load, --reference-load: found 0 N or below; expected loads above 0 N; correct it")
     source = law_source(law, track)
     loads_N += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
-    with terminal.waiting("driving"):
+    with terminal.progress("driving"):
         loading = loading_on_the_way(source.vehicle, changes) if changes else None
         under = LawJourneys(source, loads_N, (base[0], base[1]) if base else None, loading, draws)
         rng = np.random.default_rng(seed)
@@ -193,7 +193,7 @@ def study(
     if source is not None:
         track = source.track_m
     track_m, rng = Vehicle().track_m if track is None else track, np.random.default_rng(seed)
-    with terminal.waiting("simulating"):
+    with terminal.progress("simulating"):
         under = None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws)
         simulation = simulate(name, routes=route or (), track_m=track_m, under=under, rng=rng)
     finish(simulation, (output, tum, speed), seed=seed, notes=() if source is None else source.notes, law=law)
@@ -222,7 +222,7 @@ def replay(
     from calib.reporting.topics.simulation import replay_content, replay_trajectories, write_replay
 
     terminal.refuse_outputs(*(output / "replay.json", output / "replay.csv") if output else ())
-    with terminal.waiting("replaying"):
+    with terminal.progress("replaying"):
         read = read_campaign(campaign)
         source = coefficients_of(law if law is not None else campaign)
         replayed = replay_runs(read, source.file, rng=np.random.default_rng(seed), scheme=scheme)

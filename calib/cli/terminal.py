@@ -249,20 +249,6 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
     _heed()
 
 
-@contextmanager
-def waiting(what: str) -> Iterator[None]:
-    """Show on standard error, where that is a terminal, that something is at work which takes seconds."""
-    if not sys.stderr.isatty():
-        yield
-        _heed()
-        return
-    from rich.console import Console
-
-    with Console(stderr=True).status(f"{what} ..."):
-        yield
-    _heed()
-
-
 def visible(text: str) -> str:
     """Return a text whose controls, overrides of direction and half pairs are shown."""
     return _STEERING.sub(

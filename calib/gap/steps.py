@@ -243,7 +243,8 @@ class Steps:
             share = np.nan_to_num(np.clip(within[s.unit] - age_s, 0.0, duration) / duration)
             factor = np.where(delay_s < 0.0, delay_s / EXTRAPOLATED_S, 1.0)
         # of the faster wheel: in a straight run the turn is noise, in one on the spot the way
-        share = _part_by(share, _speed_at_end(s, np.maximum(abs(self.ds_left_m), abs(self.ds_right_m)), duration))
+        at_end = _speed_at_end(s, np.maximum(abs(self.ds_left_m), abs(self.ds_right_m)), duration)
+        share *= at_end + share * (1.0 - at_end)
         return factor * s.total(share * self.ds_m), factor * s.total(share * self.turn_rad)
 
     def sums(self, perturbation: Perturbation) -> FloatArray:
@@ -283,16 +284,8 @@ _LEVERS: Final[dict[str, Callable[[Steps], Lever]]] = {
 }
 
 
-def _part_by(share: FloatArray, at_end: FloatArray) -> FloatArray:
-    """Return which part of a step's motion is in the last `share` of its time, its speed growing or falling evenly."""
-    return share * (at_end + share * (1.0 - at_end))
-
-
 def _speed_at_end(s: Observations, way_m: FloatArray, duration_s: FloatArray) -> FloatArray:
-    """Return each step's speed at its end over its mean, shape (n_steps,): between it and the next, at last carried on.
-
-    From 0 to 2: no step turns round. A vehicle that brakes lags by little when it stands.
-    """
+    """Return each step's speed at its end over its mean, shape (n_steps,), 0 to 2: it changes evenly between steps."""
     with np.errstate(divide="ignore", invalid="ignore"):
         speed = way_m / duration_s
         slope = 2.0 * np.diff(speed) / (duration_s[1:] + duration_s[:-1])

@@ -5,10 +5,8 @@ By arrays, sums are carried from block to block, which keeps their rounding belo
 """
 
 import math
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, Final
@@ -26,7 +24,7 @@ HEADING_BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_poin
 #: ``end_point`` is Eq. 7 as printed
 SCHEMES: Final = tuple(HEADING_BEHIND)
 
-#: steps worth a second thread, and machine code
+#: steps worth machine code
 MANY_STEPS: Final = 1_000_000
 #: steps a block: its arrays stay in the cache, and no BLAS starts threads
 BLOCK: Final = 16_384
@@ -245,25 +243,6 @@ def _laid_flat(
     )
 
 
-def _halved(flat: _Flat) -> tuple[_Flat, ...]:
-    middle = len(flat.left) // 2
-    run = int(np.argmin(np.abs(flat.starts - middle))) if len(flat.starts) else 0
-    step = int(flat.starts[run]) if run else 0
-    if not run or abs(step - middle) >= len(flat.left) // 16:
-        return (flat,)
-    return tuple(
-        replace(
-            flat,
-            left=flat.left[steps],
-            right=flat.right[steps],
-            per_m=flat.per_m[steps] if len(flat.per_m) > 1 else flat.per_m,
-            starts=flat.starts[runs] - (steps.start or 0),
-            runs=flat.runs[runs],
-        )
-        for steps, runs in ((slice(0, step), slice(0, run)), (slice(step, None), slice(run, None)))
-    )
-
-
 def integrate(
     travel_left_m: ArrayLike,
     travel_right_m: ArrayLike,
@@ -273,7 +252,6 @@ def integrate(
     start: ArrayLike = (0.0, 0.0, 0.0),
     scheme: str = "exact",
     out: Poses | None = None,
-    threads: int | None = None,
     compiled: bool | None = None,
 ) -> Poses:
     """Integrate the travel of the rear wheels into the pose after each step, of the travel's shape.
@@ -296,8 +274,6 @@ def integrate(
         printed).
     out : Poses, optional
         Contiguous arrays of the travel's shape to write to; new memory costs as much as the arithmetic.
-    threads : {1, 2}, optional
-        Work on both halves of the runs at once; None: where there are two processors and `MANY_STEPS`.
     compiled : bool, optional
         Whether machine code (extra ``fast``) draws exact arcs, the same to 1e-9 m; None: where it is installed, from
         `MANY_STEPS` on. Its first call costs a second.
@@ -312,24 +288,12 @@ def integrate(
         raise BadInputError(f"scheme: found {scheme!r}; expected one of {', '.join(SCHEMES)}; choose one of them")
     if compiled is None:
         compiled = n >= MANY_STEPS and is_installed()
-    if threads is None:
-        threads = 2 if n >= MANY_STEPS and (os.cpu_count() or 1) > 1 else 1
-    loop = _machine_code() if compiled and scheme == "exact" else None
-
-    def fill(part: _Flat, *out: FloatArray) -> None:
-        if loop is None:
-            _fill_arrays(part, *out, scheme=scheme)
-        else:
-            loop((part.left, part.right), part.per_m, part.starts, np.ascontiguousarray(part.pose[:, part.runs]), out)
-
-    halves = _halved(flat) if threads == 2 else (flat,)
-    middle = len(halves[0].left)
     poses = [part.reshape(n) for part in (out.x_m, out.y_m, out.theta_rad)]
-    with ThreadPoolExecutor(2) as pool:
-        places = zip(halves, (slice(0, middle), slice(middle, n)), strict=False)
-        waiting = [pool.submit(fill, half, *(part[where] for part in poses)) for half, where in places]
-        for half in waiting:
-            half.result()
+    if compiled and scheme == "exact":
+        starts = np.ascontiguousarray(flat.pose[:, flat.runs])
+        _machine_code()((flat.left, flat.right), flat.per_m, flat.starts, starts, tuple(poses))
+    else:
+        _fill_arrays(flat, *poses, scheme=scheme)
     return out
 
 
@@ -347,7 +311,7 @@ def end_poses(
     Parameters and errors are those of `integrate`; an empty run ends where it starts.
     """
     flat = _laid_flat(travel_left_m, travel_right_m, track_m, offsets, start)
-    poses = integrate(travel_left_m, travel_right_m, track_m, offsets=offsets, start=start, scheme=scheme, threads=1)
+    poses = integrate(travel_left_m, travel_right_m, track_m, offsets=offsets, start=start, scheme=scheme)
     end = flat.pose.copy()
     if len(flat.runs):
         last = np.append(flat.starts[1:], len(flat.left)) - 1

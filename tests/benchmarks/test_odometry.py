@@ -100,26 +100,23 @@ def test_array_odometry_keeps_up_with_a_compiled_loop(
 ) -> None:
     """The exact arc over 10^7 samples: at least as fast as the plain C loop, memory given to both.
 
-    As called by default, which is with two threads where there are two processors and several runs, and in machine
-    code where the extra for it is installed; for the record also without machine code, and there with one thread.
+    As called by default, which is in machine code where the extra for it is installed; for the record also without.
     """
     if not benchmark.enabled:
         shape = (*shape[:-1], shape[-1] // 10)
     left, right = travel(shape)
     ours, theirs = (Poses(np.zeros(shape), np.zeros(shape), np.zeros(shape)) for _ in range(2))
     integrate(left, right, TRACK_M, out=ours)  # machine code is made or fetched once a process
-    loop, default, arrays, single = quickest(
+    loop, default, arrays = quickest(
         lambda: compiled(left, right, theirs),
         lambda: integrate(left, right, TRACK_M, out=ours),
         lambda: integrate(left, right, TRACK_M, out=ours, compiled=False),
-        lambda: integrate(left, right, TRACK_M, out=ours, compiled=False, threads=1),
     )
     # a sequential sum of 10^7 numbers of the order of 10^3 m rounds to 1e-13 m each time
     np.testing.assert_allclose(ours.x_m, theirs.x_m, rtol=0.0, atol=1e-8)
     benchmark.extra_info |= {
         "compiled loop / as called by default": loop / default,
         "compiled loop / arrays": loop / arrays,
-        "compiled loop / arrays, one thread": loop / single,
     }
     benchmark.pedantic(integrate, args=(left, right, TRACK_M), kwargs={"out": ours}, rounds=3)
     if benchmark.enabled:

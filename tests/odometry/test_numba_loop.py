@@ -25,28 +25,25 @@ def close(a: Poses, b: Poses) -> None:
     np.testing.assert_allclose(a.stacked(), b.stacked(), rtol=0.0, atol=SAME_M)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("turn", [0.0, 1e-5, 1e-3, 0.05, 1.0])
-def test_one_log(turn: float, threads: int) -> None:
+def test_one_log(turn: float) -> None:
     """Both sides of the limit up to which a series gives sine and cosine, and the standstill."""
     left, right = steps(20_000, turn)
     left[5000:5100] = right[5000:5100] = 0.0
-    arguments = {"start": (3.0, -2.0, 0.4), "threads": threads}
+    arguments = {"start": (3.0, -2.0, 0.4)}
     close(
         integrate(left, right, TRACK_M, compiled=True, **arguments),  # type: ignore[arg-type]
         integrate(left, right, TRACK_M, compiled=False, **arguments),  # type: ignore[arg-type]
     )
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_runs_of_any_length_with_a_track_of_their_own(threads: int) -> None:
+def test_runs_of_any_length_with_a_track_of_their_own() -> None:
     lengths = [0, 3, 1, 0, 64, 65, 5000, 63, 128, 0]
     offsets = np.concatenate(([0], np.cumsum(lengths)))
     left, right = steps(offsets[-1], 1e-3)
     arguments = {
         "offsets": offsets,
         "start": np.random.default_rng(1).standard_normal((len(lengths), 3)),
-        "threads": threads,
     }
     track = np.linspace(0.6, 0.8, offsets[-1])
     close(

@@ -347,7 +347,7 @@ class Observations:
 
     def curvature_of(self, turn_rad: FloatArray, path_m: FloatArray) -> FloatArray:
         """Return the curvature of steps by turns and paths (n_steps,), smoothed like the model's."""
-        turn, path = self._smooth(turn_rad), self._smooth(np.abs(path_m))
+        turn, path = (self.smoothed(part, self._half_window) for part in (turn_rad, np.abs(path_m)))
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(path > 1e-6, turn / path, 0.0)
 
@@ -361,8 +361,9 @@ class Observations:
         steps = count_m / np.sqrt(6.0) / CURVATURE_ERROR_PER_TRACK / float(np.median(step_m[rolling]))
         return int(np.clip(np.ceil(0.5 * (steps - 1.0)), 0, MOST_SMOOTHED_STEPS))
 
-    def _smooth(self, steps: FloatArray) -> FloatArray:
-        running, half = np.concatenate(([0.0], np.cumsum(steps))), self._half_window
+    def smoothed(self, steps: FloatArray, half: int) -> FloatArray:
+        """Return the mean of each step, (n_steps,), and `half` steps to either side within its observation."""
+        running = np.concatenate(([0.0], np.cumsum(steps)))
         index = np.arange(len(steps))
         first = np.maximum(index - half, self.starts[self.unit])
         last = np.minimum(index + half + 1, self.starts[self.unit + 1])
