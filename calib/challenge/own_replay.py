@@ -251,7 +251,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray, FloatArra
 
 
 def _seen(replay: Replay, poses: FloatArray, end: Moment, late_s: FloatArray) -> FloatArray:
-    """Return the pose of each unit as it was so long before its end, (3, n_units): one that brakes has moved little."""
+    """Return the pose of each unit so long before its end, shape (3, n_units)."""
     from scipy.interpolate import PchipInterpolator
 
     way_m, theta = late_s * end.v_mps, end.theta_rad

@@ -127,9 +127,10 @@ def _apply(
 def _simulated(
     campaign: "Campaign", simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: "Progress"
 ) -> "tuple[Diagnosis, str]":
+    from calib.campaign.log_reading import cache_folder
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE
-    from calib.gap.simulator.settings import cache_folder, read_settings
+    from calib.gap.simulator.settings import read_settings
     from calib.reporting.formatting import plural
 
     refuse_workers(workers)
@@ -142,7 +143,7 @@ def _simulated(
     try:
         done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=counted)
     except KeyboardInterrupt:
-        if (runs := finished[RUNS_STAGE]) and cache_folder() is not None:
+        if (runs := finished[RUNS_STAGE]) and cache_folder("simulator") is not None:
             terminal.keep(f"results of {plural(runs, 'run')} of the simulator, which will not run again")
         raise
     return done.diagnosis, done.runs.sentence

@@ -218,13 +218,6 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
         return
     from rich import progress as bars
     from rich.console import Console
-    from rich.text import Text
-
-    class Left(bars.TimeRemainingColumn):
-        """The time that is left, where the end is known."""
-
-        def render(self, task: bars.Task) -> Text:
-            return Text("") if task.total is None else super().render(task).append(" left")
 
     columns = (
         bars.SpinnerColumn(),
@@ -232,7 +225,7 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
         bars.BarColumn(bar_width=BAR),
         bars.MofNCompleteColumn(),
         bars.TimeElapsedColumn(),
-        Left(compact=True),
+        bars.TimeRemainingColumn(compact=True),
     )
     with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)

@@ -10,7 +10,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
-from calib.kinematics import blunder_search, joint_fit
+from calib.kinematics import blunder_search, departures, joint_fit
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import divisions, geometry_of, of_kinds
 from calib.kinematics.blunders import Fault, corrected, times_fault
@@ -196,12 +196,12 @@ def _turned_round(fitted: Fitted) -> Fitted | None:
 
 def _without_departure(fit: _Fit) -> Geometry:
     geometry = fit.geometry
-    found = blunder_search.find_departure(fit.fitted, misfit=geometry.misfit)
+    found = departures.find_departure(fit.fitted, misfit=geometry.misfit)
     # a delay that grows looks like several, and they hide it
     hidden = found is None and bool(geometry.delays)
     if hidden:
-        found = blunder_search.find_departure(fit.common, misfit=geometry.misfit)
-        found = found or blunder_search.hidden_clock(fit.fitted.model.recording)
+        found = departures.find_departure(fit.common, misfit=geometry.misfit)
+        found = found or departures.hidden_clock(fit.fitted.model.recording)
     # where the runs tell no delay, they tell no clock either
     if found is None or (found[0].named(found[1]).code == "clock_rate" and SENSOR[-1] in geometry.undetermined):
         return geometry
@@ -213,9 +213,9 @@ def _without_departure(fit: _Fit) -> Geometry:
             other = _fitted(fit.task, departure.change(recording, size), (fault := departure.named(size),))
         except (RefusedError, np.linalg.LinAlgError):
             return geometry
-        still = blunder_search.hidden_clock(other.fitted.model.recording) if hidden and other.geometry.delays else None
-        more = still[1] if still else blunder_search.score(other.fitted, departure)[1]
-        corrected, most = other.geometry, min(abs(size), blunder_search.LARGEST_SIZE * abs(departure.step))
+        still = departures.hidden_clock(other.fitted.model.recording) if hidden and other.geometry.delays else None
+        more = still[1] if still else departures.score(other.fitted, departure)[1]
+        corrected, most = other.geometry, min(abs(size), departures.LARGEST_SIZE * abs(departure.step))
         settled = abs(more) < SIZE_FOUND * abs(size) <= SIZE_FOUND * most
         # near its size, and something else is left all the same; delays that it leaves are what it hid behind
         if (settled and still is None) or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
@@ -235,13 +235,13 @@ def _without_departure(fit: _Fit) -> Geometry:
     return geometry.doubted(fault) if corrected.misfit or fault.code == "turn_slip" else corrected
 
 
-def _refined(fit: _Fit, departure: blunder_search.Departure, size: float) -> float:
+def _refined(fit: _Fit, departure: departures.Departure, size: float) -> float:
     model, start = fit.fitted.model, fit.fitted
     for _ in range(SIZE_ROUNDS):
         changed = departure.change(model.recording, size)
-        segments = blunder_search.remeasured(model.segments, model.recording.reference, changed.reference)
+        segments = departures.remeasured(model.segments, model.recording.reference, changed.reference)
         start = fit.task.fit(model.drive, changed, segments, start)
-        size += (more := blunder_search.score(start, departure)[1])
+        size += (more := departures.score(start, departure)[1])
         if not abs(more) >= SIZE_FOUND * abs(size):
             break
     return size

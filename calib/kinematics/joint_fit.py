@@ -3,9 +3,7 @@
 A parameter held at nominal would make the others exact that depend on it. So where data leave something open, nominal
 values take part as measurements, each with what it may be off by, and all intervals are of the joint result.
 
-Some parameters differ between recordings: the reference's delay, and the zero of the steering angle, since a servo, or
-a linkage with play, rests at another angle each time. Their deviations are random effects: generalised least squares
-estimates the common zero and the other parameters, and the spread is part of the uncertainty.
+Delay and steering zero differ between recordings, as random effects; see `docs/geometry.md`.
 """
 
 from dataclasses import dataclass, field, replace

@@ -1,6 +1,5 @@
 """Poses, their errors along and across a reference, and trajectories in time."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -8,6 +7,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.campaign.readers import read_recording
+from calib.campaign.readers.table import NS_PER_S
 from calib.campaign.settings import Reference
 from calib.errors import BadFileError, BadInputError
 from calib.io import write_text
@@ -114,9 +115,6 @@ def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) 
     return np.stack([at.real, at.imag, heading], axis=1)
 
 
-FILE_LIMIT_BYTES = 2 << 30
-
-
 def write_tum(path: Path, t_s: ArrayLike, poses: Poses, *, force: bool = False) -> Path:
     """Write poses at times in s, each (n,), with every digit."""
     times = floats(t_s)
@@ -131,31 +129,13 @@ def write_tum(path: Path, t_s: ArrayLike, poses: Poses, *, force: bool = False) 
 
 
 def read_tum(path: Path) -> tuple[FloatArray, Poses]:
-    """Return times in s and poses of a trajectory, each (n,); headings unwrapped."""
-    try:
-        if path.stat().st_size > FILE_LIMIT_BYTES:
-            raise BadFileError(path, "a file above 2 GiB", "a trajectory", "cut it into several files")
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        found = getattr(error, "strerror", None) or "no UTF-8 text"
-        raise BadFileError(path, found=found, expected="a TUM trajectory", remedy="give the path of one") from error
-    rows: list[list[float]] = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
-            continue
-        try:
-            values = [float(part) for part in line.replace(",", " ").split()]
-        except ValueError:
-            values = []
-        if len(values) != 8 or not all(map(math.isfinite, values)) or not math.hypot(*values[4:]) > 0.0:
-            expected = "t x y z qx qy qz qw, eight finite numbers and a quaternion that is not zero"
-            raise BadFileError(path, repr(line.strip()[:60]), expected, "correct the line", row=number)
-        rows.append(values)
-    if not rows:
-        raise BadFileError(path, found="no pose", expected="one line or more", remedy="write the trajectory again")
-    t, x, y, _, qx, qy, qz, qw = np.array(rows).T
-    yaw = np.arctan2(2 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz)
-    return t, Poses(x, y, np.unwrap(yaw))
+    """Return times in s, to a nanosecond, and poses of a trajectory, each (n,); headings unwrapped."""
+    (stream,) = read_recording(path, str(path)).streams
+    x_m, y_m, yaw_rad = (stream.columns[name] for name in ("x", "y", "yaw"))
+    if (lost := np.isnan(yaw_rad)).any():
+        found = f"a quaternion of zeros in pose {int(lost.argmax()) + 1}"
+        raise BadFileError(path, found, "a rotation", "correct the line")
+    return np.asarray(stream.time_ns) / NS_PER_S, Poses(x_m, y_m, yaw_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -98,7 +98,7 @@ def drive(
 
 
 class _Past:
-    """Values of the steps so far, read each run's own delay ago: shape (n_values, n_runs)."""
+    """Values (n_values, n_runs) as they were each run's own delay ago."""
 
     def __init__(self, n_values: int, delay_s: FloatArray, step_s: float) -> None:
         back = delay_s / step_s

@@ -1,9 +1,6 @@
 """The radius law of a wheel, effective radius against load: coefficients, covariance by stratum, and intervals.
 
-A sum of two variances, of sessions and of runs within them, each known by a multiple of chi-squared, has no exact t;
-Satterthwaite's degrees of freedom cover 93 to 94 % with five sessions. The critical value here is a function of the
-observed share of the sessions that covers as stated for every true share (Trickett and Welch, Biometrika 41 (1954)
-361); where one part vanishes it is Student's t of the other.
+Critical values by Trickett and Welch, Biometrika 41 (1954) 361; see `docs/report.md`.
 """
 
 from collections.abc import Sequence

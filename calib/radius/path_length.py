@@ -1,9 +1,6 @@
 """How much longer than S_O each wheel's path was, run by run, and with which uncertainty (Fig. 8).
 
-The wheels' paths in the log give the heading against distance rolled. A steady arc and radii that differ from those
-assumed are both a straight trend in it: it is fitted with the weave and taken for unequal radii; a heading measured at
-the end adds the arc. Weaves begin and end flatter: both ends count little in the fit, and a net turn within its own
-uncertainty is not corrected.
+By the heading against distance rolled, in the log; see `docs/report.md`.
 """
 
 from collections.abc import Iterator

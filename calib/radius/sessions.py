@@ -3,10 +3,7 @@
 A radius is ``a + b x + session + run``; both kinds of scatter are estimated from their own stratum, so the intervals
 hold whether or not sessions scatter; see `calib.radius.law`.
 
-The residuals of a session are a first-order autoregression, ``corr(e_i, e_j) = rho^|i - j|``; ``rho`` comes from their
-lag-one autocorrelation, freed of the bias that the fitted mean and line give it. Where it is significant, the
-covariance of the runs' stratum is that of the same least-squares estimates under it, with Satterthwaite's degrees of
-freedom.
+The residuals of a session are a first-order autoregression; see `docs/report.md`.
 """
 
 from collections.abc import Callable

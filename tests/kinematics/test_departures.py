@@ -12,7 +12,7 @@ from calib.campaign.model import Campaign, Logs
 from calib.campaign.read import read_campaign
 from calib.gap.plan.planned_runs import joined
 from calib.kinematics.adequacy import GeometryVerdict
-from calib.kinematics.blunder_search import find_departure
+from calib.kinematics.departures import find_departure
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters
 from calib.kinematics.model import window_segments

@@ -11,8 +11,9 @@ import pytest
 
 from calib.campaign.model import Border, Campaign
 from calib.campaign.wheels import with_counts
-from calib.kinematics.blunder_search import find_blunder, find_departure
+from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import rear_faults, still_counters
+from calib.kinematics.departures import find_departure
 from calib.kinematics.drives import nominal_turn
 from calib.kinematics.estimate import Using, estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters

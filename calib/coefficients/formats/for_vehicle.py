@@ -4,12 +4,7 @@ An effect is a macro of its name in ``c_acts.j2``, a controller a name in `OF_DR
 Controllers read their geometry once, so a YAML holds for one load; it is an overlay of the vehicle's own parameter
 file, which names the joints.
 
-They hold constant diagonals of the covariance. Pose: after `PATH_M` straight ahead and `TURN_RAD` of turning, the
-mean of left and right turns. An error of the mean radius stretches the path; one that turns the vehicle steadily (the
-radii's difference, a steering zero) bends it: heading L, across L^2 / 2. A random walk of heading with variance h^2 a
-metre adds L h^2 to heading and L^3 h^2 / 3 across; turning adds to heading as the way it counts as. Each encoder is
-read once at either end; the quantisation of the first reading turns all that follows. Twist: at `SPEED_MPS` and
-`TURN_RATE_RADPS`, taken over `WINDOW_S`.
+They hold constant diagonals of the covariance; `docs/exports.md` says of what.
 """
 
 import math

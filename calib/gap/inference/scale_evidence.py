@@ -1,8 +1,7 @@
 """The evidence of models integrated over the scales of the noise, component by component.
 
 Noise estimated too small from few replicates passes for a gap. All runs tell the scales under each model: the integral
-is taken about the most likely ones (Laplace; Tierney, Kadane: Accurate approximations for posterior moments and
-marginal densities, JASA 81 (1986), 82-86).
+is taken about the most likely ones (Laplace; Tierney and Kadane, JASA 81 (1986) 82).
 """
 
 from collections.abc import Iterable

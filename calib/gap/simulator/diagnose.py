@@ -159,7 +159,8 @@ def _simulated_observations(measured: Observations, differences: Differences) ->
     simulated[:, :4] = differences.nominal[differences.rows(measured)]
     simulated[:, 3] += 2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
     usable = measured.usable & np.isfinite(simulated)
-    axis = differences.axis
+    # the sign of a run driven backward stays, the line's length has no axis
+    axis = measured.axis if differences.axis is None else np.sign(measured.axis) * differences.axis
     noise = differences.scatter[differences.rows(measured)] / np.sqrt(differences.repeats)
     variance = noise**2
     variance[:, 1:3] = variance[:, 1:3].mean(axis=1, keepdims=True)
@@ -168,15 +169,10 @@ def _simulated_observations(measured: Observations, differences: Differences) ->
         simulated=np.where(usable, simulated, np.nan),
         usable=usable,
         calibration_held=True,
-        axis=measured.axis if axis is None else _along(measured.axis, axis),
+        axis=np.where(axis == -2.0, 2.0, axis),
         sigma=np.sqrt(measured.sigma**2 + variance),
     )
     return simulator.as_simulated(observations, noise)
-
-
-def _along(axis: FloatArray, simulated: float) -> FloatArray:
-    # runs driven backward stay so; the line's length has no axis
-    return np.where(axis == 0.0, 0.0, np.where((axis < 0.0) & (simulated == 1.0), -1.0, simulated))
 
 
 def _refuse_nonsense(measured: Observations, differences: Differences) -> None:

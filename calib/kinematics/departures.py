@@ -1,0 +1,219 @@
+"""Search for departures: changes of the recording of unknown size, fitted beside the vehicle's parameters.
+
+No residual need show one. It is named where its size is beyond noise, by the scatter between groups of segments, and of
+whole runs, where it explains more of the residual than is left.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.wheels import smoothed_speed_mps
+from calib.kinematics import drives
+from calib.kinematics.blunders import Fault
+from calib.kinematics.joint_fit import Fitted
+from calib.kinematics.model import Model, Segments, measured_between
+from calib.kinematics.recording import Recording
+from calib.kinematics.uncertainty import whitened
+from calib.types import FloatArray
+
+#: standard deviations by which a size must stand out: a few departures are tried, with the scatter of few groups
+CLEAR: Final = 6.0
+#: of slip: sound runs have up to 2.2
+CLEAR_SLIP: Final = 4.5
+#: of an axis: displacements by a laser scanner, which have no axes, make up to 9.4
+CLEAR_AXIS: Final = 12.0
+#: share of the weighted squares, noise included, that a departure must explain
+EXPLAINED: Final = 0.5
+#: that one must explain to be followed where the fit is refused: it is named only if the fit corrected for it is not
+LEAD: Final = 0.1
+PLAYS_RAD: Final = (0.01, 0.04)
+#: of a steering angle: from half the least on, which is no step of a log any more
+SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
+#: scale of a tracking system's axis, from which it is tried
+AXIS_SCALE: Final = 0.01
+#: resultant of the doubled start headings, above which runs begin along one axis, in either sense
+ALONG_ONE: Final = 0.9
+#: scale of the reference's heading beside its positions
+HEADING_SCALE: Final = 0.005
+#: sound clocks differ by 1e-4
+CLOCK_RATE: Final = 5e-4
+#: recordings, and part of the longest that they differ by, from which their delays tell of a clock
+FEWEST_OF_A_CLOCK: Final = 4
+OF_TWO_LENGTHS: Final = 0.2
+SLIP_S_PER_RAD: Final = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """A change of the recording of a size that a fit tells, and its name."""
+
+    change: Callable[[Recording, float], Recording]
+    #: at which residuals are differentiated
+    step: float
+    named: Callable[[float], Fault]
+    share: float = EXPLAINED
+    clear: float = CLEAR
+
+
+def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] | None:
+    """Return the departure that explains most, and its size; None where none is clear.
+
+    `misfit`: the residuals speak against the fit: departures that sound ones need no test for are tried, too.
+    """
+    most, found = 0.0, None
+    # beside a delay that nobody estimated, the delay itself looks like a clock
+    timed = "delay_s" in fitted.parameters.free_names
+    for departure in _departures(fitted.model, timed=timed, misfit=misfit):
+        share, size, std = score(fitted, departure)
+        clear = abs(size) >= departure.clear * std and size / departure.step > LEAST_SIZE
+        if clear and share >= departure.share and share > most:
+            most, found = share, (departure, size)
+    return found
+
+
+def hidden_clock(recording: Recording) -> tuple[Departure, float] | None:
+    """Return the clock, and its rate, that gives recordings of different lengths their delays."""
+    middle_s = 0.5 * recording.t_s[recording.offsets[1:] - 1]
+    if len(recording) < FEWEST_OF_A_CLOCK or np.ptp(middle_s) < OF_TWO_LENGTHS * middle_s.max():
+        return None
+    return Departure(_clocked, CLOCK_RATE, _clock, 0.0), float(np.polyfit(middle_s, recording.delay_added_s, 1)[0])
+
+
+def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
+    """Return the share of squares a departure explains, its size, and that one's standard uncertainty."""
+    model, solution = fitted.model, fitted.solution
+    recording = departure.change(model.recording, departure.step)
+    segments = remeasured(model.segments, model.recording.reference, recording.reference)
+    changed = Model(model.drive, recording, segments).residuals(solution.values)
+    jacobian, residuals = whitened(solution, fitted.parameters.free)
+    shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed)
+    shift *= np.sqrt(solution.weights)[:, None]
+    flat, rest = jacobian.reshape(-1, jacobian.shape[2]), residuals.ravel()
+    both = np.column_stack([shift.ravel(), rest])
+    # without what the vehicle's parameters explain
+    column, rest = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
+    information = float(column @ column)
+    if information <= 0.0:
+        return 0.0, 0.0, np.inf
+    steps = float(column @ rest) / information
+    runs = model.segments.run
+    group = np.repeat(runs if len(np.unique(runs)) >= FEWEST_GROUPS else model.segments.block, 3)
+    pulls = np.bincount(group, column * (rest - steps * column))
+    std = float(np.sqrt(np.square(pulls).sum())) / information
+    share = 1.0 - float(np.square(rest - steps * column).sum() / max(float(rest @ rest), 1e-300))
+    return share, steps * departure.step, std * abs(departure.step)
+
+
+#: runs from which on they are the groups, not blocks of them
+FEWEST_GROUPS: Final = 8
+#: a size below this part of the one tried is another one's, or of the wrong sign
+LEAST_SIZE: Final = 0.5
+#: so many times the one tried, a third of an axis or seconds of steering, no linear step reaches
+LARGEST_SIZE: Final = 30.0
+
+
+def remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Segments:
+    """Return the same stretches as another reference measures them; references have shape (3, n_samples)."""
+    if after is before:
+        return segments
+    ends = segments.first, segments.last
+    finite = np.isfinite(after[:, ends])
+    # of positions alone no heading is needed
+    finite[2] |= ~segments.seen[:, 2]
+    known = segments.seen & np.asarray(finite.all(axis=(0, 1)))[:, None]
+    added = np.subtract(*(measured_between(part, *ends, segments.around) for part in (after, before)))
+    return replace(segments, measured=segments.measured + np.where(known, added, 0.0))
+
+
+def _departures(model: Model, *, timed: bool, misfit: bool) -> Iterator[Departure]:
+    whole = model.segments.are_runs_of(model.recording)
+    share = EXPLAINED if whole else 0.0
+    if model.recording.steps.steer_rad is None:
+        yield Departure(partial(_without_slip, drive=model.drive), SLIP_S_PER_RAD, _slip, share, CLEAR_SLIP)
+    else:
+        yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
+        yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)
+    # where all begin at one heading, an axis of the reference is one of the vehicle, which may slide along it
+    if whole and not abs(np.mean(np.exp(2j * model.recording.reference[2, model.segments.first]))) < ALONG_ONE:
+        return
+    for sign in (1.0, -1.0):
+        if not whole and timed:
+            yield Departure(_clocked, sign * CLOCK_RATE, _clock, share)
+        if misfit and not whole:
+            for change in (partial(_stretched, axis=2), _wound_since_start):
+                yield Departure(change, sign * HEADING_SCALE, _heading_scale, LEAD)
+        for axis, name in enumerate(("ref_x_m", "ref_y_m")):
+            change, named = partial(_stretched, axis=axis), partial(_axis, name=name)
+            yield Departure(change, sign * AXIS_SCALE, named, share, CLEAR_AXIS)
+
+
+def _clocked(recording: Recording, rate: float) -> Recording:
+    return replace(recording, clock_rate=recording.clock_rate + rate)
+
+
+def _clock(rate: float) -> Fault:
+    text = f"t_s: the reference's clock runs {100 * abs(rate):.2g} % {'fast' if rate > 0.0 else 'slow'} beside the "
+    return Fault("clock_rate", f"{text}counts'; stamp both by one clock or divide its times by {1.0 + rate:.5g}")
+
+
+def _without_slip(recording: Recording, slip_s_per_rad: float, drive: drives.Drive) -> Recording:
+    yaw_radps = np.abs(smoothed_speed_mps(np.cumsum(drives.nominal_turn(drive, recording.steps)), recording.t_s))
+    return recording.with_turned(recording.steps.turned_rad / (1.0 + slip_s_per_rad * yaw_radps))
+
+
+def _slip(slip_s_per_rad: float) -> Fault:
+    text = f"the wheels slip by {100 * slip_s_per_rad:.2g} % per rad/s of yaw rate: radii and track hold for these "
+    return Fault("turn_slip", f"{text}turns alone; turn slower")
+
+
+def _without_play(recording: Recording, play_rad: float) -> Recording:
+    wheel, half = np.array(recording.steps.steer_rad), 0.5 * play_rad
+    for first, last in pairwise(recording.offsets.tolist()):
+        angle = float(wheel[first])
+        for at in range(first, last):
+            wheel[at] = angle = min(max(angle, wheel[at] - half), wheel[at] + half)
+    return recording.with_steering(wheel)
+
+
+def _play(play_rad: float) -> Fault:
+    text = f"steer_rad: the wheels follow it with a play of {1e3 * play_rad:.3g} mrad, by the direction of the last "
+    return Fault("steering_play", f"{text}turn; take it out of the steering, or log the angle of the wheels")
+
+
+def _shifted(recording: Recording, shift_s: float) -> Recording:
+    steer = np.asarray(recording.steps.steer_rad).copy()
+    for first, last in pairwise(recording.offsets.tolist()):
+        t_s = recording.t_s[first:last]
+        steer[first:last] = np.interp(t_s - shift_s, t_s, steer[first:last])
+    return recording.with_steering(steer)
+
+
+def _shift(shift_s: float) -> Fault:
+    late = "after it: the wheels follow a command" if shift_s > 0.0 else "before it: it is filtered or stamped"
+    text = f"steer_rad: the vehicle steers {abs(shift_s):.2g} s {late} late"
+    return Fault("steering_shift", f"{text}; log the angle of the wheels by the clock of the counts")
+
+
+def _stretched(recording: Recording, share: float, axis: int) -> Recording:
+    return recording.with_reference((recording.reference.T * (1.0 + share * np.eye(3)[axis])).T)
+
+
+def _wound_since_start(recording: Recording, share: float) -> Recording:
+    begin_rad = np.repeat(recording.reference[2, recording.offsets[:-1]], np.diff(recording.offsets))
+    wound = _stretched(recording, share, 2)
+    return wound.with_reference(wound.reference - share * begin_rad * np.array([[0.0], [0.0], [1.0]]))
+
+
+def _heading_scale(share: float) -> Fault:
+    text = f"ref_theta_rad: it turns {100 * abs(share):.2g} % too {'little' if share > 0 else 'much'} beside the path "
+    return Fault("heading_scale", f"{text}of its positions; calibrate what measures it (a gyro?)")
+
+
+def _axis(share: float, name: str) -> Fault:
+    text = f"{name}: distances along this axis are {100 * abs(share):.3g} % too {'short' if share > 0 else 'long'} "
+    return Fault("axis_scale", f"{text}beside the other; calibrate the tracking system or the camera")
