@@ -215,7 +215,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray, FloatArra
     steps, n_units = replay.steps, len(replay.observations)
     now = Moment.at_rest(n_units)
     path = np.zeros(n_units)
-    poses = np.zeros((3, len(steps["time_s"]) + 1, n_units))
+    poses = np.zeros((3, len(steps["time_s"]), n_units))
     angles = None
     if replay.observations.by_front:
         angles = true_angles(steps["steer_rad"], steps["time_s"], replay.last, world)
@@ -244,10 +244,10 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray, FloatArra
         now.y_m = now.y_m + chord * np.sin(middle) + drift * np.cos(middle)
         now.theta_rad = now.theta_rad + turn
         path += way
-        poses[:, step + 1] = now.x_m, now.y_m, now.theta_rad
+        poses[:, step] = now.x_m, now.y_m, now.theta_rad
     units = np.arange(n_units)
     now.v_mps, now.curvature_per_m = (steps[name][replay.last, units] for name in ("v_mps", "curvature_per_m"))
-    return now, path, _seen(replay, poses[:, 1:], now, world.latency_s)
+    return now, path, _seen(replay, poses, now, world.latency_s)
 
 
 def _seen(replay: Replay, poses: FloatArray, end: Moment, late_s: FloatArray) -> FloatArray:

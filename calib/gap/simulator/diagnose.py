@@ -22,7 +22,7 @@ from calib.gap.effects.library import check_excluded, library
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter
 from calib.gap.effects.steering import SteeringScale, SteeringZero
 from calib.gap.inference.fit import signature_columns
-from calib.gap.observations.arrays import N_CHANNELS, Observations
+from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
 from calib.gap.simulator.fix import (
@@ -159,8 +159,9 @@ def _simulated_observations(measured: Observations, differences: Differences) ->
     simulated[:, :4] = differences.nominal[differences.rows(measured)]
     simulated[:, 3] += 2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
     usable = measured.usable & np.isfinite(simulated)
-    # the sign of a run driven backward stays, the line's length has no axis
-    axis = measured.axis if differences.axis is None else np.sign(measured.axis) * differences.axis
+    axis = differences.axis
+    # a laser reads a length of a run driven backward, too
+    ahead = np.where(measured.measured[:, Channel.ALONG] < 0.0, -1.0, 1.0) if axis == 1.0 else axis
     noise = differences.scatter[differences.rows(measured)] / np.sqrt(differences.repeats)
     variance = noise**2
     variance[:, 1:3] = variance[:, 1:3].mean(axis=1, keepdims=True)
@@ -169,7 +170,7 @@ def _simulated_observations(measured: Observations, differences: Differences) ->
         simulated=np.where(usable, simulated, np.nan),
         usable=usable,
         calibration_held=True,
-        axis=np.where(axis == -2.0, 2.0, axis),
+        axis=measured.axis if ahead is None else np.where(measured.axis == 0.0, 0.0, ahead),
         sigma=np.sqrt(measured.sigma**2 + variance),
     )
     return simulator.as_simulated(observations, noise)

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
 import pytest
 
+from calib.gap.predict import predict
+from calib.gap.simulator.diagnose import _simulated_observations
 from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, differences_of
 from calib.gap.simulator.settings import RunCache, read_settings
 from calib.types import silent
+from tests.gap.effects.making import Run, situation
 
 SIGMA = np.array([0.002, 0.002, 0.002, 0.001])
 NAMES = ("a", "b")
@@ -57,3 +62,15 @@ def test_the_change_is_per_unit(tmp_path: Path) -> None:
     assert differences.change["a"][:, 1] == pytest.approx([np.pi, -np.e, 7.7])
     assert differences.change["b"][:, 3] == pytest.approx([0.1 * np.pi, -0.1 * np.e, 0.77])
     assert not differences.change["a"][:, 2:].any()
+
+
+def test_a_simulated_laser_reads_a_length_of_a_run_driven_backward_too() -> None:
+    """Along the start heading, though the measured one reads chords: the model alone simulates it without a gap."""
+    measured = situation([Run([(-8.0 if n % 3 else 8.0, 0.1)], front=False) for n in range(9)])
+    x_m, y_m, theta_rad = predict(measured).end.T
+    measured = replace(measured, axis=np.full(9, 2.0))
+    nominal = np.stack([np.abs(x_m), x_m, y_m, theta_rad], axis=1)
+    runner = SimpleNamespace(run_ids=measured.labels["run_id"].tolist())
+    simulated = _simulated_observations(measured, Differences(runner, nominal, {}, {}, 0.0 * nominal, 1, axis=1.0))  # type: ignore[arg-type]
+    # the wheels that an outside simulator implies are found to about a nanometre
+    np.testing.assert_allclose(predict(simulated).reading[:, 0], np.abs(x_m), atol=1e-6)
