@@ -6,8 +6,9 @@ import gc
 import hashlib
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,8 @@ settings.register_profile("explore", deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 ROOT = Path(__file__).resolve().parents[1]
+#: a picture of nothing
+BLANK = b'<svg xmlns="http://www.w3.org/2000/svg" width="10" height="5"/>'
 
 
 def pytest_collection_finish() -> None:
@@ -53,6 +56,14 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> WorkSteal
     from xdist.scheduler import WorkStealingScheduling
 
     return WorkStealingScheduling(config, log)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def packages_looked_up_once() -> Iterator[None]:
+    """Look up the effects that installed packages offer once: none is installed while the suite runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calib.gap.effects.columns.entry_points", cache(entry_points))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -73,8 +84,7 @@ def shared_data() -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set a blank picture for each figure of a page: what it shows is the tests' of figures and pages."""
-    blank = b'<svg xmlns="http://www.w3.org/2000/svg" width="10" height="5"/>'
-    monkeypatch.setattr("calib.reporting.pages.render", lambda _figure, _form: blank)
+    monkeypatch.setattr("calib.reporting.pages._svg", lambda _picture: BLANK)
 
 
 @pytest.fixture(scope="session")

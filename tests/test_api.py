@@ -140,6 +140,7 @@ def test_a_plan_names_runs_with_their_reasons(plan: calib.Plan) -> None:
     assert plan.diagnosis.to_dict()["verdict"] in plan.to_dict()["verdict"]
 
 
+@pytest.mark.usefixtures("diagnosed_once")
 def test_a_plan_promises_what_the_command_does(
     plan: calib.Plan, campaign: calib.Campaign, capsys: pytest.CaptureFixture[str]
 ) -> None:

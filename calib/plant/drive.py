@@ -18,7 +18,7 @@ _CREEP_MPS: Final = 0.02
 _PAUSE_S: Final = 0.8
 _BLOCK: Final = 128
 _SIDES: Final = np.array([[-1.0], [1.0]])
-#: what a frame holds, in order: motion, counts of three wheels, the vehicle's own odometry, the pose as it was
+#: a frame: motion, counts of three wheels, the vehicle's own odometry, the pose as it was
 _MOTION: Final = ("t_s", "x_m", "y_m", "theta_rad", "v_mps", "steer_rad", "late_rad")
 _COUNTS, _ODO, _PAST, _SIZE = 7, 10, 14, 17
 
@@ -28,8 +28,7 @@ class Record:
     """What happened, at the logs' rate; the last frame of a run is its end."""
 
     frames: IntArray  #: shape (n_runs,): frames of a run; frame 0 is its start
-    #: shape (n_frames, n_runs): true motion in the run's own frame, its end repeated; late_rad: steering angle the
-    #: sensor's delay ago
+    #: shape (n_frames, n_runs): true motion in the run's own frame, its end repeated; late_rad: delayed steering angle
     t_s: FloatArray
     x_m: FloatArray
     y_m: FloatArray
@@ -72,33 +71,32 @@ def drive(
     every = max(1, round((design.log_period_s or 0.25) / step_s))
     runs = _Runs(world, noise, quantise, step_s)
     kept = slice(logged)
-    frames = [runs.frame(kept)]
-    final = np.zeros((_SIZE, len(design)))
+    frames, final = [runs.frame(kept)], np.zeros((_SIZE, len(design)))
     before_end = np.zeros(len(design), dtype=np.int64)
     longest = float(np.max(runs.tables.end_m / design.speed_mps + (design.stops + 2) * (_PAUSE_S + 6.0))) + 20.0
     for number in range(1, int(longest / step_s) + 1):
         rolling = runs.steer()
-        arrived, held = runs.accelerate(number)
+        arrived = runs.accelerate(number)
         runs.count(*runs.roll(rolling, number))
-        at_end = runs.arrive(arrived, held)
-        if at_end.any():
-            ended = np.flatnonzero(at_end)
+        ended = runs.arrive(arrived)
+        if len(ended):
             final[:, ended], before_end[ended] = runs.frame(ended), len(frames)
             runs.halt(ended)
         framed = number % every == 0
         if framed:
             frames.append(runs.frame(kept))
-        if (framed or at_end.any()) and runs.done.all():
+        if (framed or len(ended)) and runs.done.all():
             break
     on_the_way = np.flatnonzero(~runs.done)
     final[:, on_the_way], before_end[on_the_way] = runs.frame(on_the_way), len(frames)
     stacked = np.stack([*frames, final[:, kept]], axis=1)
     behind = np.arange(stacked.shape[1])[:, None] >= before_end[kept]
-    return Record.of(before_end[kept] + 1, np.where(behind, final[:, None, kept], stacked), final)
+    np.copyto(stacked, final[:, None, kept], where=behind)
+    return Record.of(before_end[kept] + 1, stacked, final)
 
 
 class _Past:
-    """Values (n_values, n_runs) as they were each run's own delay ago."""
+    """Values (n_values, n_runs) of each run's own delay ago."""
 
     def __init__(self, n_values: int, delay_s: FloatArray, step_s: float) -> None:
         back = delay_s / step_s
@@ -137,7 +135,7 @@ class _Runs:
         self.per_rad = design.counts_per_rev / (2 * np.pi)
         self.textured = bool(noise.texture_m.any())
         self.rng = np.random.default_rng(noise.seed)
-        self.grain = np.zeros((_BLOCK, 3, n_runs))  # of the floor, for so many steps at a time
+        self.grain = np.zeros((_BLOCK, 3, n_runs))  # of the floor, for some steps
         self.stop_m = _stops(world, self.tables)
         self.pointer = np.zeros(n_runs, dtype=np.int64)
         self.target_m = self.stop_m[0]
@@ -148,10 +146,11 @@ class _Runs:
         self.speed, self.steering, self.progress_m, self.pause_s = (np.zeros(n_runs) for _ in range(4))
         self.angle = np.zeros((3, n_runs))  # left, right, front as the counters see it
         self.odo = np.zeros((4, n_runs))  # x, y, theta, path length
+        self.fly_m = np.where(design.flying, self.tables.end_m, np.inf)
         # progress along the plan a metre of odometry: its cosine, over what a bend shortens
         self.ahead, self.bend = np.ones(n_runs), np.ones(n_runs)
         self.done = np.zeros(n_runs, dtype=bool)
-        self.past = _Past(1, world.steer_delay_s, step_s)
+        self.past = _Past(1, world.steer_delay_s, step_s) if world.steer_delay_s.any() else None
         self.past_poses = _Past(3, world.latency_s, step_s) if world.latency_s.any() else None
 
     def frame(self, at: slice | IntArray) -> FloatArray:
@@ -159,7 +158,7 @@ class _Runs:
         now, counted = self.now, self.angle[:, at] * self.per_rad
         if self.quantise:
             counted = np.floor(counted + self.noise.phase[:, at])
-        late = self.past.read(at)[0]
+        late = self.steering[at] if self.past is None else self.past.read(at)[0]
         frame = np.empty((_SIZE, len(late)))
         frame[0], frame[1], frame[2], frame[3] = now.t_s, now.x_m[at], now.y_m[at], now.theta_rad[at]
         frame[4], frame[5], frame[6] = now.v_mps[at], self.steering[at], late
@@ -180,25 +179,26 @@ class _Runs:
         change = _within((wanted - self.steering) / _STEER_LAG_S, _STEER_RATE_RADPS) * self.step_s
         rolling = self.steering + 0.5 * change
         self.steering = self.steering + change
-        self.past.add(self.steering)
+        if self.past is not None:
+            self.past.add(self.steering)
         self.ahead, self.bend = np.cos(heading), np.maximum(1.0 - bend * lateral, 0.3)
         return np.asarray(rolling)
 
-    def accelerate(self, number: int) -> tuple[BoolArray, BoolArray]:
+    def accelerate(self, number: int) -> BoolArray:
         remaining = self.target_m - self.progress_m
-        held = self.pause_s > 0.0
+        held = self.done | (self.pause_s > 0.0)
         self.pause_s -= self.step_s
         allowed = np.sqrt(2 * _ACCELERATION_MPS2 * np.maximum(remaining, 0.0)) + _CREEP_MPS
-        asked = np.where(held | self.done, 0.0, np.minimum(self.world.design.speed_mps, allowed))
+        asked = np.where(held, 0.0, np.minimum(self.world.design.speed_mps, allowed))
         most = _ACCELERATION_MPS2 * self.step_s
         change = np.minimum(np.maximum(asked - self.speed, -2 * most), most)
         arrived = remaining <= 0.0
-        if arrived.any():
+        if np.count_nonzero(arrived):
             change = np.where(arrived & (self.speed <= 2 * _CREEP_MPS), -self.speed, change)
         self.speed = self.speed + change
         self.now.t_s, self.now.v_mps = number * self.step_s, self.speed
         self.now.acceleration_mps2 = change * (1 / self.step_s)
-        return arrived, held
+        return np.asarray(arrived & ~held)
 
     def roll(self, rolling: FloatArray, number: int) -> tuple[FloatArray, FloatArray]:
         world, now, step_s = self.world, self.now, self.step_s
@@ -235,38 +235,39 @@ class _Runs:
         return wheels, front / self.radius_front_m
 
     def count(self, wheels: FloatArray, front: FloatArray) -> None:
-        self.angle[:2] += wheels * (1.0 - self.now.added[3:5]) if self.world.during else wheels
-        self.angle[2] += front
         seen = self.angle[:2]
+        seen += wheels * (1.0 - self.now.added[3:5]) if self.world.during else wheels
+        self.angle[2] += front
         if self.quantise:
             seen = np.floor(seen * self.per_rad + self.noise.phase[:2]) / self.per_rad
         left_m, right_m = seen * self.believed_m
+        x, y, before, way = self.odo
         theta = (right_m - left_m) / self.world.model.track_m
         rolled = 0.5 * (left_m + right_m)
-        step = rolled - self.odo[3]
-        middle = 0.5 * (self.odo[2] + theta)
-        self.odo[0] += step * np.cos(middle)
-        self.odo[1] += step * np.sin(middle)
-        self.odo[2], self.odo[3] = theta, rolled
+        step = rolled - way
+        middle = 0.5 * (before + theta)
+        x += step * np.cos(middle)
+        y += step * np.sin(middle)
+        before[:], way[:] = theta, rolled
         self.progress_m += step * self.ahead / self.bend
 
-    def arrive(self, arrived: BoolArray, held: BoolArray) -> BoolArray:
+    def arrive(self, arrived: BoolArray) -> IntArray:
         design = self.world.design
-        standing = arrived & (self.speed == 0.0) & ~held & ~self.done
-        flown = design.flying & ~self.done & (self.progress_m >= self.tables.end_m)
-        if not standing.any():
-            return flown
-        self.pointer = self.pointer + standing
-        ended = standing & (self.pointer > design.stops)
-        self.pause_s = np.where(standing & ~ended, _PAUSE_S, self.pause_s)
-        following = self.stop_m[np.minimum(self.pointer, len(self.stop_m) - 1), np.arange(len(design))]
-        self.target_m = np.where(ended, self.target_m, following)
-        return np.asarray(ended | flown)
+        ends = self.progress_m >= self.fly_m
+        standing = arrived & (self.speed == 0.0)
+        if np.count_nonzero(standing):
+            self.pointer = self.pointer + standing
+            ended = standing & (self.pointer > design.stops)
+            self.pause_s = np.where(standing & ~ended, _PAUSE_S, self.pause_s)
+            following = self.stop_m[np.minimum(self.pointer, len(self.stop_m) - 1), np.arange(len(design))]
+            self.target_m = np.where(ended, self.target_m, following)
+            ends |= ended
+        return np.flatnonzero(ends)
 
     def halt(self, ended: IntArray) -> None:
         # the moment keeps their speed
         self.speed = self.speed.copy()
-        self.done[ended], self.speed[ended] = True, 0.0
+        self.done[ended], self.speed[ended], self.fly_m[ended] = True, 0.0, np.inf
 
 
 def _within(values: FloatArray, most: float) -> FloatArray:
@@ -300,8 +301,7 @@ def steering_readings(world: World, noise: NoiseDraw, record: Record, *, quantis
         shown = np.empty_like(steer)
         at = steer[0]
         for number, angle in enumerate(steer):
-            at = np.clip(at, angle - half, angle + half)
-            shown[number] = at
+            shown[number] = at = np.clip(at, angle - half, angle + half)
         steer = shown
     steer = world.steer_scale * steer + world.steer_zero_rad + noise.steer_rad
     if noise.reading_rad:
@@ -329,7 +329,7 @@ def with_blunder(world: World, counts: FloatArray) -> FloatArray:
 def simulated_poses(world: World, record: Record) -> FloatArray:
     """Return an outside simulator's end poses, shape (3, n_runs), by exact arcs or (`world.euler`) Euler steps."""
     per_rad = world.design.counts_per_rev / (2 * np.pi)
-    left, right = (record.counts[side] / per_rad for side in (0, 1))
+    left, right = record.counts[:2] / per_rad
     left_m, right_m = left * world.believed_left_m, right * world.believed_right_m
     theta = (right_m - left_m) / world.model.track_m
     way = np.diff(0.5 * (left_m + right_m), axis=0)

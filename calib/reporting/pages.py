@@ -50,7 +50,7 @@ def to_pdf(report: Report, progress: Progress = silent) -> bytes:
         "data.json": to_json(report.to_dict()).encode("utf-8"),
     }
     for picture in stepped(report.pictures, progress, "figures of the PDF"):
-        sources[f"{picture.name}.svg"] = render(picture.draw(), "svg")
+        sources[f"{picture.name}.svg"] = _svg(picture)
     sources |= {attachment.name: attachment.data for attachment in report.attachments}
     if report.logo is not None:
         sources |= dict([report.logo])
@@ -159,8 +159,15 @@ def brief_html(result: Result) -> str:
 
 
 def _pictures(blocks: Iterable[Block]) -> dict[str, str]:
-    pictures = (block for block in blocks if isinstance(block, Picture))
-    return {one.name: base64.b64encode(render(one.draw(), "svg")).decode("ascii") for one in pictures}
+    return {one.name: base64.b64encode(_svg(one)).decode() for one in blocks if isinstance(one, Picture)}
+
+
+def _svg(picture: Picture) -> bytes:
+    # once for page and PDF
+    kept = vars(picture.draw)
+    if "svg" not in kept:
+        kept["svg"] = render(picture.draw(), "svg")
+    return bytes(kept["svg"])
 
 
 @cache

@@ -104,7 +104,7 @@ def spent(function: Callable[[], Any]) -> float:
 @pytest.mark.slow
 def test_where_the_time_of_a_diagnosis_goes(benchmark: BenchmarkFixture, capsys: pytest.CaptureFixture[str]) -> None:
     """Shares of process time of signatures, noise, search with its evidence, and held-out fits, in one diagnosis."""
-    made = campaign_of(160 if benchmark.enabled else 24)
+    made = campaign_of(160 if benchmark.enabled else 16)
     with clocked() as clock:
         begun = time.process_time()
         diagnosis = benchmark.pedantic(whole.diagnose_in_full, args=(made,), rounds=1)
@@ -123,7 +123,7 @@ def test_where_the_time_of_a_diagnosis_goes(benchmark: BenchmarkFixture, capsys:
 @pytest.mark.slow
 def test_cost_grows_linearly_with_runs(benchmark: BenchmarkFixture, capsys: pytest.CaptureFixture[str]) -> None:
     """Time for 80 and 160 runs over that for 40; a cost linear in runs at most doubles each time."""
-    sizes = (40, 80, 160) if benchmark.enabled else (16, 32)
+    sizes = (40, 80, 160) if benchmark.enabled else (8, 16)
     made = {size: campaign_of(size) for size in sizes}
     took = {size: spent(lambda size=size: whole.diagnose_in_full(made[size])) for size in sizes}  # type: ignore[misc]
     ratios = {f"time of {size} runs over {sizes[0]}": round(took[size] / took[sizes[0]], 2) for size in sizes[1:]}

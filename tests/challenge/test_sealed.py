@@ -27,7 +27,7 @@ FULL = {"development": SEEDS / "development.toml", "scoring": Path(__file__).par
 SMALL = """
 format = "calib-challenge-seeds/1"
 purpose = "test"
-seed = 5
+seed = 4
 max_runs = 20
 [cases]
 empty = 1

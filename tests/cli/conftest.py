@@ -30,3 +30,11 @@ def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
         "calib.reporting.figures.style.render_all",
         lambda figure, forms: {form: render(figure, form) if form == "svg" else form.encode() for form in forms},
     )
+
+
+@pytest.fixture
+def files_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Build each figure, and give all its files their format's name: another test has the same figures drawn."""
+    monkeypatch.setattr(
+        "calib.reporting.figures.style.render_all", lambda _, forms: {form: form.encode() for form in forms}
+    )

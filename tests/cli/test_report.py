@@ -63,7 +63,7 @@ def test_a_result_folder_gives_the_same_report_as_its_campaign(
     assert ["Dates of measurement", "2025-03-03; 2025-03-05"] in said[0]["head"]
 
 
-@pytest.mark.usefixtures("drawn_once", "undrawn")
+@pytest.mark.usefixtures("files_alone", "undrawn")
 def test_figures_go_where_asked(sample: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["report", str(sample), "--into", str(tmp_path), "--figures", str(tmp_path / "figures"), *DATE]) == 0
     assert (tmp_path / "corridor_crossed.pdf").is_file()

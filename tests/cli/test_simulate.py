@@ -85,7 +85,7 @@ def test_a_study_of_ones_own(capsys: pytest.CaptureFixture[str]) -> None:
     assert ends[0] != ends[1]
 
 
-@pytest.mark.usefixtures("drawn_once")
+@pytest.mark.usefixtures("files_alone")
 def test_a_law_alone_makes_no_table_of_zeros(
     coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -107,7 +107,7 @@ def test_payload_and_wheel_loads_say_the_same(coefficients: Path, capsys: pytest
     assert document(capsys)["law"]["journeys"][0] == by_payload
 
 
-@pytest.mark.usefixtures("drawn_once")
+@pytest.mark.usefixtures("files_alone")
 def test_a_payload_put_on_the_way_and_taken_off_again(
     coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -141,7 +141,6 @@ def test_trajectories_are_written_and_followed_again(tmp_path: Path, capsys: pyt
     assert (row["end_x_m"], row["end_y_m"]) == pytest.approx((8.052432, 7.803350), abs=0.5e-6)
 
 
-@pytest.mark.usefixtures("drawn_once")
 def test_the_trajectories_of_a_journey_are_the_route_and_where_the_vehicle_really_went(
     coefficients: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

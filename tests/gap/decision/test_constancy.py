@@ -158,6 +158,15 @@ def test_a_true_cause_has_one_size(diagnosed_sample: Callable[[str], tuple[Campa
     assert size_differences(diagnosis.evidence, diagnosis.evidence.named) == {}
 
 
+@pytest.fixture
+def without_rivals(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw a case without its rivals and its ceiling, which enter the score alone, and no campaign."""
+    monkeypatch.setattr("calib.challenge.cases.alternatives", lambda *_: None)
+    monkeypatch.setattr("calib.challenge.cases.rivals", lambda _: ())
+    monkeypatch.setattr("calib.challenge.cases._ceilings", lambda *_: (None, None))
+
+
+@pytest.mark.usefixtures("without_rivals")
 def test_what_imitates_a_cause_is_not_recommended() -> None:
     """Radii that follow the speed, in a library without them: a slip at stops is no cause at all speeds."""
     recipe = next(recipe for recipe in recipes(CASES) if recipe.case == IMITATED)
@@ -169,6 +178,7 @@ def test_what_imitates_a_cause_is_not_recommended() -> None:
     assert any("differs by speed" in reason for reason in diagnosis.fix.why)
 
 
+@pytest.mark.usefixtures("without_rivals")
 @pytest.mark.parametrize(("case", "cause", "imitation"), [("c0026", "lost_counts", "speed_radius")])
 def test_what_a_second_form_of_the_cause_explains_is_no_second_cause(
     project_root: Path, case: str, cause: str, imitation: str

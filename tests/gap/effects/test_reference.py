@@ -104,6 +104,8 @@ def test_swapped_wheels_are_no_turned_reference() -> None:
 def test_a_real_robot_with_its_markers_turned_a_quarter_is_diagnosed_as_before(shared_data: Path) -> None:
     """Motion capture's rigid body turned by 90 degrees: the same causes beside it, and what to state is said."""
     sound = optiodom_differential(shared_data)
+    # every other recording names them, too
+    sound = sound.select(np.isin(sound.runs.label("session"), np.unique(sound.runs.label("session"))[::2]))
     columns = dict(sound.logs.columns) | {"ref_theta_rad": sound.logs.columns["ref_theta_rad"] + np.pi / 2}
     reference = replace(sound.reference, frame="map")
     turned = replace(sound, logs=replace(sound.logs, columns=columns), reference=reference)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import runpy
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.tables import write_campaign
+from calib.gap.simulator.runner import Job, SimulatorRunner
 from examples.numpy_simulator.simulator import simulate
 from tests.gap.effects.making import SQUARE, STRAIGHT, Run, campaign
 
@@ -99,3 +103,16 @@ def numpy_settings(folder: Path, **changes: tuple[str, str]) -> Path:
     path = folder / "SIM.toml"
     path.write_text(text)
     return path
+
+
+#: a script finds its arguments in a place of the whole process
+ARGUMENTS = threading.Lock()
+
+
+def called(runner: SimulatorRunner, arguments: list[str], _: Job) -> bytes:
+    """Run the script of a simulator's command in this process: it reads and writes the same files, with no start."""
+    _, script, *rest = arguments
+    path = runner.settings.path.resolve().parent / script
+    with ARGUMENTS, patch.object(sys, "argv", [script, *rest]), patch.object(sys, "path", [*sys.path]):
+        runpy.run_path(str(path), run_name="__main__")
+    return b""

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -19,8 +20,9 @@ from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.decision.held_out import RERUN
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.simulator.diagnose import SimulatorDiagnosis, diagnose_simulator
+from calib.gap.simulator.runner import SimulatorRunner
 from calib.gap.simulator.settings import read_settings
-from tests.gap.simulator.made import NOMINAL, NUMPY, numpy_campaign, numpy_settings
+from tests.gap.simulator.made import NOMINAL, NUMPY, called, numpy_campaign, numpy_settings
 
 #: standard deviations within which an estimate is of its truth: a chance of some 1 in 4000 of more
 SPREAD = 3.7
@@ -36,16 +38,22 @@ def cache(tmp_path_factory: pytest.TempPathFactory) -> object:
         yield
 
 
-def diagnosed(folder: Path, hidden: object, sim: Path | None = None, **options: object) -> SimulatorDiagnosis:
-    sim = sim or numpy_settings(folder)
+def diagnosed(folder: Path, hidden: object, sim: Path | None = None) -> SimulatorDiagnosis:
+    """Diagnose a simulator whose script is called in this process."""
+    with patch.object(SimulatorRunner, "_finished", called):
+        return started(folder, hidden, sim)
+
+
+def started(folder: Path, hidden: object, sim: Path | None = None) -> SimulatorDiagnosis:
+    """Diagnose a simulator that is started for each run, as a user's is."""
     made = numpy_campaign(folder / "campaign", hidden)  # type: ignore[arg-type]
-    return diagnose_simulator(read_campaign(made), read_settings(sim), workers=2, **options)  # type: ignore[arg-type]
+    return diagnose_simulator(read_campaign(made), read_settings(sim or numpy_settings(folder)), workers=2)
 
 
 @pytest.fixture(scope="module")
 def small_wheel(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SimulatorDiagnosis]:
     folder = tmp_path_factory.mktemp("small_wheel")
-    return folder, diagnosed(folder, {"wheel_radius_left": 0.09944})
+    return folder, started(folder, {"wheel_radius_left": 0.09944})
 
 
 def test_the_parameter_is_named_with_what_to_set(small_wheel: tuple[Path, SimulatorDiagnosis]) -> None:

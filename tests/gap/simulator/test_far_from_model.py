@@ -6,6 +6,7 @@ import csv
 import json
 import re
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 
@@ -13,8 +14,9 @@ from calib.campaign.read import read_campaign
 from calib.gap.decision.diagnosis import BY_SIMULATOR, Diagnosis
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.simulator.diagnose import diagnose_simulator
+from calib.gap.simulator.runner import SimulatorRunner
 from calib.gap.simulator.settings import read_settings
-from tests.gap.simulator.made import NOMINAL, numpy_campaign, numpy_settings
+from tests.gap.simulator.made import NOMINAL, called, numpy_campaign, numpy_settings
 
 #: standard deviations within which an estimate is of its truth: a chance of some 1 in 4000 of more
 SPREAD = 3.7
@@ -70,7 +72,8 @@ def test_columns_of_a_simulator_far_from_the_model_of_the_campaign(tmp_path: Pat
 def test_a_simulator_far_from_the_model_of_the_campaign(tmp_path: Path, name: str, value: float) -> None:
     """What bends a path is taken about the simulator's; [model] is off by 3 % of the radii and 4 % of the track."""
     sim, made = numpy_settings(tmp_path), far_campaign(tmp_path, {name: value})
-    done = diagnose_simulator(read_campaign(made), read_settings(sim), workers=2)
+    with patch.object(SimulatorRunner, "_finished", called):
+        done = diagnose_simulator(read_campaign(made), read_settings(sim), workers=2)
     assert [cause.effect for cause in done.diagnosis.causes] == [f"simulator:{name}"]
     low, high = done.diagnosis.causes[0].parameters[name].ci95
     assert abs(done.diagnosis.fix.parameters[name] - value) < SPREAD * (high - low) / (2 * 1.96)
