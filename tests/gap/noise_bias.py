@@ -32,6 +32,8 @@ DESIGNS = {
     "corridors": ["corridor"],
     "squares": ["square_ccw", "square_cw"],
     "mixed": ["corridor", "square_ccw", "square_cw", "route_left"],
+    # few runs of one load and speed
+    "varied": ["corridor", "square_ccw", "square_cw", "route_left"],
 }
 #: standard deviations as stated of the instruments; the scatter comes on top
 LASER_M, XY_M, HEADING_RAD = 0.0015, 0.002, 0.0008
@@ -42,19 +44,26 @@ N_TRUE = 1500
 CHANNELS = ("distance", "along", "lateral", "heading")
 
 
-def runs_of(kinds: list[str], n_runs: int) -> list[Run]:
-    """Return runs in turn over routes, three loads and two speeds, in sessions of a quarter of the campaign."""
-    runs = []
+def runs_of(design: str, n_runs: int) -> list[Run]:
+    """Return runs in turn over routes, three loads and two speeds, in sessions of a quarter of the campaign.
+
+    Varied runs have one of five loads and four speeds, by chance: hardly two are alike.
+    """
+    kinds, runs = DESIGNS[design], []
+    varied = np.random.default_rng(n_runs).random((n_runs, 2)) if design == "varied" else None
     for number in range(n_runs):
         kind, turn = kinds[number % len(kinds)], number // len(kinds)
+        share, pace = (
+            (turn % 3 / 2, float(turn // 3 % 2)) if varied is None else np.floor(varied[number] * (5, 4)) / (4, 3)
+        )
         run = Run(
             ROUTES[kind],
             steps=60,
             kind=kind,
             session=f"s{4 * number // n_runs}",
-            speed_mps=(0.4, 0.8)[turn // 3 % 2],
-            load_left_N=300.0 + 200.0 * (turn % 3),
-            load_right_N=300.0 + 180.0 * (turn % 3),
+            speed_mps=0.4 + 0.4 * float(pace),
+            load_left_N=300.0 + 400.0 * float(share),
+            load_right_N=300.0 + 360.0 * float(share),
         )
         run.front = False
         runs.append(run)
@@ -91,14 +100,14 @@ def truth_of(scatter: str, rng: np.random.Generator) -> Callable[[Run, Motion], 
 def variances(design: str, n_runs: int, scatter: str, seed: list[int], *, estimated: bool) -> FloatArray:
     """Return the variance of each route and channel, estimated or that of the gap itself, shape (n_routes, 4)."""
     kinds = DESIGNS[design]
-    observations = situation(runs_of(kinds, n_runs), truth=truth_of(scatter, np.random.default_rng(seed)))
+    observations = situation(runs_of(design, n_runs), truth=truth_of(scatter, np.random.default_rng(seed)))
     path = predict(observations)
     gap = residuals(path, path)
     if estimated:
         covariance = estimate_noise(path, gap).covariance
         square = np.where(observations.usable, np.diagonal(covariance, axis1=1, axis2=2), np.nan)
     else:
-        exact = situation(runs_of(kinds, n_runs))
+        exact = situation(runs_of(design, n_runs))
         # what is left with no scatter at all is rounding of the corners by steps, no noise
         clean = predict(exact)
         rounding = residuals(clean, clean)

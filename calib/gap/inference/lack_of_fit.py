@@ -1,7 +1,7 @@
 """Lack of fit: random effects that no effect of the library explains, beside every hypothesis.
 
-y = C beta + sum_k S_k theta_k + R + noise. R is an offset of channel or calibration that each condition (or cell) has
-of its own, or a trend on the surroundings; its scale is averaged over a grid with zero.
+y = C beta + sum_k S_k theta_k + R + noise. R is an offset that each condition (or cell) has of its own, or a trend on
+the surroundings; its scale is averaged over a grid with zero.
 """
 
 from collections.abc import Sequence

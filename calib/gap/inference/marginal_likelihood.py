@@ -53,8 +53,7 @@ class Nuisance:
 def log_marginal(square: float | FloatArray, log_det: float | FloatArray, n_rows: int) -> FloatArray:
     """Return the log evidence of a Gaussian hypothesis whose noise level is known up to a common factor.
 
-    With the factor integrated out (Student's t, without its constant), a noise level too small by a quarter or heavy
-    tails do not pass for a cause.
+    With the factor integrated out (Student's t, without its constant).
 
     `square`: y^T C^-1 y, C in units of the noise level; `log_det`: log |C|, same shape; `n_rows`: length of y.
     """

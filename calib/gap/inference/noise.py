@@ -1,7 +1,7 @@
 """The noise of each run: its covariance over the channels, and what supports it.
 
-A sum of components, correlated as heading noise becomes lateral error; their scales are estimated from replicates,
-beside a mean in each channel and a calibration of each group. That of windows is checked by its growth with length.
+A sum of components, whose scales are estimated from replicates, beside a mean in each channel and a calibration of
+each group. That of windows is checked by its growth with length.
 """
 
 from collections.abc import Iterator
@@ -39,6 +39,8 @@ REPORTED_EXCESS: Final = 4.0
 STATED_EXCESS: Final = 2.0
 #: a larger one may exceed what grows as noise does by this factor
 MAX_GROWTH_RATIO: Final = 2.0
+#: log of how much likelier repeats may be by their own noise level than by that of routes (2 of 58 sound campaigns are)
+MAX_DOUBT: Final = 4.6
 #: windows joined to a longer one
 JOINED_WINDOWS: Final = (1, 2, 4, 8)
 #: fewest windows of a length
@@ -66,22 +68,30 @@ def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
     observations = path.s
     enough = max(ENOUGH_DOF, ENOUGH_DOF_PER_CHANNEL * float(observations.usable.any(axis=0).sum()))
     alike = Basis.WINDOWS if observations.windowed else Basis.REPEATS
-    trends = np.concatenate([components.ambient_trends(path), *components.ambient_interactions(path)], axis=2)
+    trends = _ambient(path)
     yield alike, observations.cell, None, enough
     yield alike, observations.condition, trends, enough
     near = Basis.WINDOWS if observations.windowed else Basis.NEIGHBOURS
     beside = repeatability.neighbours(observations.condition, NEIGHBOURS_TOGETHER)
     yield near, beside, components.session_steps(path), enough
     yield near, beside, None, enough
+    if not observations.windowed:
+        # few repeats leave the scales open by a factor of three: routes tell more, unless repeats contradict them
+        loads = components.load_speed_trends(path)
+        for laws, least in ((components.route_trends(path), enough), (loads, ENOUGH_DOF)):
+            yield Basis.ROUTE, observations.kind, np.concatenate([laws, trends], axis=2), least
     yield alike, observations.condition, trends, MIN_DOF
     yield alike, observations.cell, None, MIN_DOF
     yield near, beside, None, MIN_DOF
     if observations.windowed:
         yield near, repeatability.neighbours(observations.run, WINDOWS_TOGETHER), None, MIN_DOF
     else:
-        loads = components.load_speed_trends(path)
         yield Basis.ROUTE, observations.kind, np.concatenate([loads, trends], axis=2), MIN_DOF
         yield Basis.ROUTE, observations.kind, loads, MIN_DOF
+
+
+def _ambient(path: Path) -> FloatArray:
+    return np.concatenate([components.ambient_trends(path), *components.ambient_interactions(path)], axis=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,9 +133,8 @@ class Noise:
 def estimate_noise(path: Path, gap: FloatArray) -> Noise:
     """Estimate the noise from replicates.
 
-    These are units of one cell; else of one condition, with trends on the surroundings removed; else neighbours; else
-    runs of one route with trends on loads and speeds; at last the stated sigmas. The first that supports a floor is
-    taken, else the first with the degrees of freedom. Scales not determined keep their prior.
+    The first basis that supports a floor is taken, see `_noise_supports`, else the first with the degrees of freedom,
+    at last the stated sigmas. Scales not determined keep their prior.
 
     `gap`: (n_units, 6), measured minus predicted about `path`.
     """
@@ -144,11 +153,25 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
         weight = np.ones(len(gap))
         weight[whole.grouped.units] = whole.weights(log_scale)
         noise = _noise(path, shapes, log_scale, weight, basis, whole.dof)
-        if noise.supported:
+        if noise.supported and not (basis is Basis.ROUTE and _contradicts_repeats(path, gap, shapes, log_scale)):
             return noise
         # differences that may be a gap: the next support
         first = first or noise
     return first or _noise(path, shapes, prior, np.ones(len(gap)), Basis.STATED, 0.0)
+
+
+def _contradicts_repeats(
+    path: Path, gap: FloatArray, shapes: components.NoiseComponents, log_scale: FloatArray
+) -> bool:
+    grouped = repeatability.Replicates.by(path.s.condition)
+    if len(grouped.units) == 0:
+        return False
+    repeats, even = (
+        repeatability.ScaleLikelihood(path, gap, shapes, grouped, _ambient(path)),
+        np.ones(len(grouped.units)),
+    )
+    best = repeatability.most_likely_scales(repeats, log_scale)
+    return repeats.cost(log_scale, even)[0] - repeats.cost(best, even)[0] > MAX_DOUBT
 
 
 def _noise(
@@ -204,8 +227,8 @@ def _support(path: Path, covariance: FloatArray, basis: Basis, dof: float, exces
 def window_growth(path: Path) -> tuple[FloatArray, FloatArray] | None:
     """Return how the heading's residual grows with the length of windows; None if too few.
 
-    The place strays by length^(3/2): the heading alone tells noise. Mean lengths (n_lengths,) of windows joined, and
-    the mean square in the shortest that is constant, grows with the length, and with its square, (3,).
+    Mean lengths (n_lengths,) of windows joined, and the mean square in the shortest that is constant, grows with the
+    length, and with its square, (3,).
     """
     from scipy.optimize import nnls
 

@@ -229,6 +229,18 @@ def load_speed_trends(path: Path) -> FloatArray:
     return _on_radii(path, columns)
 
 
+def route_trends(path: Path) -> FloatArray:
+    """Return what each channel may do with loads and speed on each route, (n_units, 6, k), to a metre or radian."""
+    observations, columns = path.s, []
+    left, right = observations.number("load_left_N"), observations.number("load_right_N")
+    for on in (observations.kind == kind for kind in np.unique(observations.kind)):
+        for values in (left + right, right - left, observations.number("speed_mps")):
+            for column in _standardised(np.where(on, values, np.nan)):
+                columns += [column[:, None] * (observations.usable & (np.arange(N_CHANNELS) == k)) for k in range(4)]
+    columns = [column for column in columns if column.any()]
+    return np.stack(columns, axis=2) if columns else np.zeros((*observations.usable.shape, 0))
+
+
 def _on_radii(path: Path, columns: Sequence[Column]) -> FloatArray:
     pushed = [path.calibration[:, :, k] * column[:, None] * STEP for column, wheels in columns for k in wheels]
     stacked = np.stack(pushed, axis=2) if pushed else np.zeros((len(path.s), 6, 0))

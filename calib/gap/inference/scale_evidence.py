@@ -1,7 +1,7 @@
 """The evidence of models integrated over the scales of the noise, component by component.
 
-Noise estimated too small from few replicates passes for a gap. All runs tell the scales under each model: the integral
-is taken about the most likely ones (Laplace; Tierney and Kadane, JASA 81 (1986) 82).
+All runs tell the scales under each model: the integral is taken about the most likely ones (Laplace; Tierney and
+Kadane, JASA 81 (1986) 82).
 """
 
 from collections.abc import Iterable

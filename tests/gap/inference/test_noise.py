@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.inference.noise import Noise, estimate_noise
+from calib.gap.inference.noise import Noise, _contradicts_repeats, estimate_noise
 from calib.gap.inference.noise_components import (
     COMPONENTS,
     NoiseComponents,
@@ -227,6 +227,39 @@ def test_few_repeats_fall_back_to_coarser_groups() -> None:
         assert noise.scales[name] == pytest.approx(value, rel=0.1), name
 
 
+def varied(seed: int) -> Observations:
+    """Return sixty runs whose radii scatter, hardly two of one load and speed."""
+    truth = noise_bias.truth_of("radius", np.random.default_rng(seed))
+    return situation(noise_bias.runs_of("varied", 60), truth=truth)
+
+
+def test_few_repeats_leave_the_noise_to_the_routes_they_agree_with() -> None:
+    """The laws of load and speed are taken out route by route; ten estimates scatter half as much as by repeats."""
+    scales = []
+    for seed in range(10):
+        s = varied(seed)
+        assert likelihood(predict(s), residuals(predict(s), predict(s)), s.cell).dof < 30
+        noise = estimated(s)
+        assert noise.support.startswith("runs of one route")
+        assert noise.dof > 60
+        scales.append(noise.scales["yaw_scatter"])
+    # sixty degrees of freedom over four channels; by repeats alone the logarithm scatters by 0.5
+    assert np.std(np.log(scales)) < 0.25
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_few_repeats_tell_a_noise_level_that_is_not_theirs(seed: int) -> None:
+    """Four degrees of freedom a channel: a scatter four times too large is not theirs, the true one is."""
+    s = varied(seed)
+    path = predict(s)
+    shapes = NoiseComponents.about(path)
+    noise = estimated(s)
+    for times, contradicted in ((1.0, False), (4.0, True)):
+        scales = {**noise.scales, "yaw_scatter": times * noise.scales["yaw_scatter"]}
+        log_scale = np.log([scales.get(name, median) for name, median, _ in COMPONENTS])
+        assert _contradicts_repeats(path, residuals(path, path), shapes, log_scale) is contradicted
+
+
 def test_a_single_run_keeps_the_stated_instruments() -> None:
     """Without repeats every scale is its prior's median."""
     noise = estimated(situation([Run([(10.0, 0.0)])]))
@@ -249,7 +282,8 @@ def test_a_missing_channel_has_unit_variance_and_no_correlation() -> None:
 
 
 @pytest.mark.parametrize(
-    ("design", "scatter"), [("corridors", "start pose"), ("squares", "radius"), ("mixed", "heading walk")]
+    ("design", "scatter"),
+    [("corridors", "start pose"), ("squares", "radius"), ("mixed", "heading walk"), ("varied", "start pose")],
 )
 def test_variances_are_the_true_ones(design: str, scatter: str) -> None:
     """Sixty runs: the mean of ten estimates against the variance of 400 runs whose every parameter is known."""
@@ -272,6 +306,6 @@ def test_positions_three_times_as_coarse_as_stated_are_no_walk_of_the_heading() 
     scales = []
     for seed in range(20):
         truth = truth_of(np.random.default_rng([5, seed]))
-        observations = situation(noise_bias.runs_of(noise_bias.DESIGNS["mixed"], 40), truth=truth)
+        observations = situation(noise_bias.runs_of("mixed", 40), truth=truth)
         scales.append(estimated(observations).scales["position"])
     assert np.exp(np.mean(np.log(scales))) == pytest.approx(COARSE, rel=COARSE_REL)

@@ -205,10 +205,10 @@ def test_a_step_between_sessions_is_no_part_of_the_floor_of_neighbours() -> None
     np.testing.assert_allclose(noise.excess[:4], calm.excess[:4], rtol=0.36)
 
 
-def test_repeats_with_fewer_degrees_of_freedom_go_before_neighbours_that_support_nothing() -> None:
-    """Radii follow the temperature: neighbours scatter by it thirteen times as stated, repeats have it as a trend."""
+def test_runs_with_the_temperature_as_a_trend_go_before_neighbours_that_support_nothing() -> None:
+    """Radii follow the temperature: neighbours scatter by it thirteen times as stated, runs of a route have a trend."""
     noise, calm = estimated(driven_once(30, per_K=5e-4)), estimated(driven_once(30))
     assert noise.supported, noise.support
-    assert noise.support.startswith(Basis.REPEATS)
+    assert noise.support.startswith(Basis.ROUTE)
     # 40 degrees of freedom in four channels: 22 % each; two of these
     np.testing.assert_allclose(noise.excess[:4], calm.excess[:4], rtol=0.45)

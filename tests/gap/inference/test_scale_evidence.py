@@ -130,7 +130,7 @@ def test_a_reference_coarser_than_stated_makes_no_radius_wrong(off: float, seeds
             now.end_x_m, now.end_y_m, now.yaw_rad = 3.0 * now.end_x_m, 3.0 * now.end_y_m, 3.0 * now.yaw_rad
             now.left = now.right = off
 
-        seen = situation(noise_bias.runs_of(noise_bias.DESIGNS["mixed"], 24), truth=truth)
+        seen = situation(noise_bias.runs_of("mixed", 24), truth=truth)
         no_laser = np.arange(seen.measured.shape[1]) != Channel.DISTANCE
         nominal = predict(replace(seen, usable=seen.usable & no_laser))
         noise = estimate_noise(nominal, residuals(nominal, nominal))
