@@ -7,11 +7,13 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import REFERENCE_POSE, Campaign
+from calib.campaign.settings import Reference
 from calib.campaign.wheels import on_one_axle
 from calib.documents import plain_fields
 from calib.gap.effects.quantities import MOVING_MPS
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import edges_along
+from calib.odometry.poses import poses_of_vehicle
 from calib.types import FloatArray, IntArray
 
 #: fields of a place that is a stretch
@@ -103,7 +105,7 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
     traces = []
     for run, name in enumerate(runs.run_id.astype(str)):
         unit = first.get(name)
-        log = _complete(campaign.logs.of(run))
+        log = _complete(campaign.logs.of(run), campaign.reference)
         if unit is None or log is None:
             continue
         left = log["counts_left"] * (2 * np.pi / encoder.counts_per_rev_left) * observations.radius_left_m[unit]
@@ -114,12 +116,19 @@ def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
     return traces
 
 
-def _complete(log: Mapping[str, FloatArray]) -> dict[str, FloatArray] | None:
+def _complete(log: Mapping[str, FloatArray], reference: Reference) -> dict[str, FloatArray] | None:
     needed = (*COUNT_COLUMNS, *(REFERENCE_POSE if set(REFERENCE_POSE) <= log.keys() else RANGE_COLUMNS))
     if not set(needed) <= log.keys():
         return None
     known = np.all([np.isfinite(log[column]) for column in needed], axis=0)
-    return {column: log[column][known] for column in needed} if known.sum() >= MIN_SAMPLES else None
+    if known.sum() < MIN_SAMPLES:
+        return None
+    complete = {column: log[column][known] for column in needed}
+    if REFERENCE_POSE[0] in complete:
+        # motion alone counts: any frame serves as a map
+        sensor = np.stack([complete[column] for column in REFERENCE_POSE], axis=1)
+        complete |= dict(zip(REFERENCE_POSE, poses_of_vehicle(sensor, reference, in_map=True).T, strict=True))
+    return complete
 
 
 def _trace(
@@ -264,8 +273,8 @@ def find_places(
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
     """Return the places inside the runs where the gap opens, smallest p first, and what cannot be asked.
 
-    Beside each run's offset and slope: on a stretch over which the gap grows in all runs of a route, in turns or
-    straights, at stops; p values are multiplied by the number of places.
+    On a stretch over which the gap grows in all runs of a route, in turns or straights, at stops; p values are
+    multiplied by the number of places.
     """
     if np.isfinite(observations.simulated).any():
         return (), ("the simulated ends have no path: where inside a run the gap opens cannot be determined",)

@@ -134,8 +134,7 @@ def locate(
 ) -> GapLocation:
     """Say where the gap lies, and what its causes leave.
 
-    Every covariate is tested in every channel, see `covariate_test`; Holm's steps hold the table to one chance in
-    twenty of any false finding. Shares have bootstrap intervals over units.
+    Holm's steps hold the table to one chance in twenty of any false finding; see `covariate_test`.
 
     `gap`, `left` (n_units, n_channels): measured minus simulated, 0 where a unit lacks the channel; the same with its
     causes fitted; `floor`: what the gap is shown against; `campaign`: the same runs with their logs.
@@ -246,7 +245,7 @@ def covariate_test(
 ) -> CovariateResult | None:
     """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
 
-    Returned is the channel of the smallest p, times the number of channels; not yet held to the table's error.
+    Returned is the channel of the smallest p, times the number of channels.
     `scaled` (n_units, n_channels): gap over noise level, NaN where a unit lacks the channel; `weights` (n_draws,
     n_units): how often the bootstrap draws each; `most_dof`: of the noise level; see `covariate_values`.
     """

@@ -172,6 +172,23 @@ def test_a_wrong_track_opens_in_the_turns() -> None:
     assert places[0].size == pytest.approx(-3 * typical, rel=0.1)
 
 
+def test_the_stated_place_of_the_sensor_opens_no_gap_in_turns() -> None:
+    """A sensor beside the axle moves along by its arm times the turn, as the vehicle does not."""
+    campaign = made("track_width", 3.0, needs=frozenset({"trace"}))
+    arm, yaw = 0.2 + 0.1j, 0.3
+    columns = campaign.logs.columns
+    turned = np.exp(1j * columns["ref_theta_rad"])
+    # the sensor's motion since the start, in the frame of its own start
+    at = (columns["ref_x_m"] + 1j * columns["ref_y_m"] + arm * (turned - 1.0)) * np.exp(-1j * yaw)
+    logs = replace(campaign.logs, columns={**columns, "ref_x_m": at.real, "ref_y_m": at.imag})
+    reference = replace(campaign.reference, sensor_x_m=arm.real, sensor_y_m=arm.imag, sensor_yaw_rad=yaw)
+    aside = replace(campaign, reference=reference, logs=logs)
+    (before, *_), (place, *others) = (located(each, *seen(each)).places for each in (campaign, aside))
+    assert (place.where, place.channel) == (before.where, before.channel) == ("turns", Channel.HEADING)
+    assert place.size == pytest.approx(before.size, rel=1e-6)
+    assert not [line for line in others if line.channel is Channel.ALONG]
+
+
 def test_without_a_continuous_reference_no_place_is_named_and_that_is_said() -> None:
     campaign = made("track_width", 1.0)
     made_of = located(campaign, *seen(campaign))
