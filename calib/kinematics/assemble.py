@@ -1,8 +1,7 @@
 """From a fit to the result; the intervals that planned runs promise.
 
-UMBmark: radii and track from squares driven both ways (Borenstein and Feng, IEEE T-RA 12, 1996). A wrong track turns
-every corner by alpha too much, unequal wheels bend every side by beta. Clockwise and counter-clockwise the two add and
-subtract, so that the mean end position errors of both senses give them apart.
+UMBmark: radii and track from the mean end position errors of squares driven both ways (Borenstein and Feng, IEEE T-RA
+12, 1996).
 """
 
 from collections.abc import Iterable, Iterator
@@ -228,8 +227,7 @@ class Promise:
 def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise:
     """Return what the end poses of planned runs will tell of the geometry (Fisher information).
 
-    The runs are driven as the model says; driven ones may be among them, where they gave the model. `scales`, shape
-    (4,), are variances of the noise's components: by default the stated sigmas and small random walks.
+    `scales`, shape (4,), are variances of the noise's components: by default the stated sigmas and small random walks.
 
     Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
     """

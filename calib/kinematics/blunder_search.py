@@ -1,8 +1,7 @@
 """Search for blunders that explain a recording.
 
-A blunder (units, axes, columns, wraps) changes the recording, and the vehicle's parameters are fitted again
-within plausible bounds. Residuals count relative to the distance travelled, so that no unit makes them small by
-itself; a blunder is named where its correction leaves a small part of them.
+A blunder (units, axes, columns, wraps) is named where its correction, parameters fitted again within plausible bounds,
+leaves a small part of the residuals over the distance travelled.
 """
 
 from collections.abc import Callable
@@ -19,7 +18,16 @@ from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import Model, Segments
-from calib.kinematics.readings import Change, Reading, Setting, implausible, readings, unchanged
+from calib.kinematics.readings import (
+    LEAST_ANGLE_RAD,
+    LEAST_OF_RUNS_RAD,
+    Change,
+    Reading,
+    Setting,
+    implausible,
+    readings,
+    unchanged,
+)
 from calib.kinematics.recording import Recording
 from calib.kinematics.solve import LONGEST, RIDGE, solve
 from calib.types import FloatArray
@@ -98,7 +106,10 @@ def find_blunder(
     # impossible lengths explain nothing, and a sensor that is turned a little no reading
     enough = min([SMALL_SHARE, *(CLEARLY_LESS * trial.share for trial in (as_it_stands, turned) if trial.plausible)])
     best: list[tuple[Trial, Reading]] = []
-    for reading in readings(recording, per_rev, drive, as_it_stands.turned_rad, plausible=as_it_stands.plausible):
+    turned_rad = as_it_stands.turned_rad
+    if abs(turned_rad) < (LEAST_OF_RUNS_RAD if whole else LEAST_ANGLE_RAD):
+        turned_rad = 0.0
+    for reading in readings(recording, per_rev, drive, turned_rad, plausible=as_it_stands.plausible):
         trial = tried(reading.change, reading.setting, screened=True)
         if trial.plausible and trial.share >= enough and not whole:
             trial = tried(reading.change, reading.setting, MOUNTED)
@@ -186,7 +197,7 @@ def _residual_share(model: Model, values: FloatArray, residuals: FloatArray) -> 
 def _rough_fit(model: Model, parameters: drives.Parameters, most: float) -> tuple[FloatArray, float]:
     """Return values, shape (n_parameters,), and the share that they leave to first order.
 
-    Turns are fitted first: they are nearly linear in all parameters, and a path bends by them. The search ends at the
+    Turns are fitted first: they are nearly linear in all parameters. The search ends at the
     nominal values where a step leaves more than a share `most`.
     """
     values, free, spread = parameters.nominal, parameters.free, parameters.prior_std[parameters.free]

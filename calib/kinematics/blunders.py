@@ -131,8 +131,7 @@ def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(Non
 def front_faults(recording: "Recording", segments: "Segments", radius_m: float, *, by_shaft: bool = False) -> Corrected:
     """Return the recording with steering zero and signs corrected, and what was wrong.
 
-    A wheel that counts backwards and a steering sensor of the other sign give mirrored solutions of the same residual:
-    a negative radius, a negative wheelbase. The one with positive lengths is the vehicle's. `radius_m`: nominal;
+    Of mirrored solutions of the same residual that with positive lengths is the vehicle's. `radius_m`: nominal;
     `by_shaft`: the counter tells the way of the rear axle, at any steering angle.
     """
     faults: list[Fault] = []
@@ -196,8 +195,8 @@ def straight_reading_rad(
 ) -> float:
     """Return the steering angle read straight ahead; 0 where unknown or near 0.
 
-    A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``: linear in the sine and cosine of c. Of
-    c and its opposite, which counters of the other sign make alike, that nearer to most readings is taken.
+    A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``. Of c and its opposite, which counters
+    of the other sign make alike, that nearer to most readings is taken.
 
     Parameters
     ----------

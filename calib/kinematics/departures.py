@@ -1,7 +1,7 @@
 """Search for departures: changes of the recording of unknown size, fitted beside the vehicle's parameters.
 
-No residual need show one. It is named where its size is beyond noise, by the scatter between groups of segments, and of
-whole runs, where it explains more of the residual than is left.
+One is named where its size is beyond noise, by the scatter between groups of segments, and of whole runs, where it
+explains more of the residual than is left.
 """
 
 from collections.abc import Callable, Iterator

@@ -53,9 +53,9 @@ def estimate_geometry(
     Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
 
     For parameters see `calib.api.results.geometry`. Without `using` it takes windows where the reference follows the
-    vehicle along the path, which tell lengths ten times better and more; end poses where it does not, and where eight
-    runs or more have one and windows do not fit: end poses ask nothing of clocks. `sensor`: estimate the sensor's pose
-    on the vehicle and its delay; None: with windows, and of end poses where it takes that to explain them.
+    vehicle along the path, end poses where it does not, and where eight runs or more have one and windows do not fit.
+    `sensor`: estimate the sensor's pose on the vehicle and its delay; None: with windows, and of end poses where it
+    takes that to explain them.
     """
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)

@@ -1,7 +1,7 @@
 """Joint estimation of all parameters; those that the data leave open stay about nominal and are named.
 
-A parameter held at nominal would make the others exact that depend on it. So where data leave something open, nominal
-values take part as measurements, each with what it may be off by, and all intervals are of the joint result.
+Where data leave something open, nominal values take part as measurements, each with what it may be off by: all
+intervals are of the joint result.
 
 Delay and steering zero differ between recordings, as random effects; see `docs/geometry.md`.
 """

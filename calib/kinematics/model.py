@@ -98,9 +98,9 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
     `blocks`: into about how many all runs together are cut; a run is one at least. Raises RefusedError where the
     reference follows the vehicle nowhere.
 
-    Wheel travel sets the length. Shorter windows overlap by half; none reaches over the end of its block. Of positions
-    alone every window begins where its run does, with heading zero; in a map its direction is that of the chord about
-    its start, and none begins where that is short, in turns on the spot.
+    Shorter windows overlap by half; none reaches over the end of its block. Of positions alone every window begins
+    where its run does, with heading zero; in a map its direction is that of the chord about its start, where that is
+    not short.
     """
     travel = recording.travel_rad
     ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
@@ -233,7 +233,7 @@ def _at_times(
     """Return poses `delay_s` before both ends and chords, their derivatives, and the samples' new numbers.
 
     What the reference stamps t was true at t - delay. Before a run's first count the vehicle moved as after it where a
-    late reference saw it move; else it stood there.
+    late reference saw it move.
     """
     ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
     used, inverse = np.unique(ends, return_inverse=True)

@@ -17,6 +17,8 @@ from calib.vehicle import SKID_TRACK
 
 #: axes turned by less are a sensor's mounting, which is estimated
 LEAST_ANGLE_RAD: Final = 0.02
+#: by whole runs it is not, and a smaller turn moves their ends by less than the usual drift
+LEAST_OF_RUNS_RAD: Final = 0.003
 #: a sine, with noise of the reference
 LARGEST_Z: Final = 1.05
 #: widths of counters in use, bits
@@ -73,7 +75,7 @@ def readings(
     recording, per_rev, drive
         As it stands, with the stated counts per revolution and nominal values.
     turned_rad
-        Angle by which the reference's displacements are turned against those of the wheels.
+        Angle by which the reference's displacements are turned against the wheels'; 0 of none.
     plausible
         Whether lengths are near nominal as it stands.
     """
@@ -117,11 +119,12 @@ def _scaled(x: float, y: float, theta: float) -> Change:
 
 
 def _axes(turned_rad: float) -> Iterator[Reading]:
-    if abs(turned_rad) > LEAST_ANGLE_RAD:
+    if turned_rad:
         c, s = float(np.cos(turned_rad)), float(np.sin(turned_rad))
         text = (
             f"the reference's axes are turned by {np.degrees(turned_rad):+.3g} degrees against the start heading; turn "
-            "them back, so that x is the vehicle's heading at the start, or state sensor_yaw_rad in [reference]"
+            "them back, so that x is the vehicle's heading at the start, or add "
+            f"{-turned_rad:+.3g} to sensor_yaw_rad in [reference]"
         )
         yield Reading(Fault("axes_turned", text), _linear([[c, s, 0], [-s, c, 0], [0, 0, 1]]))
     for code, what, matrix in (

@@ -120,8 +120,8 @@ class Umbmark:
 class RunTrace:
     """One run: the sensor's path by nominal and calibrated odometry, and by the reference, aligned.
 
-    With a reference along the path, the paths are rotated and shifted as a whole, since its first pose is as noisy as
-    any; with an end pose alone they begin at the start.
+    With a reference along the path, the paths are rotated and shifted as a whole; with an end pose alone they begin at
+    the start.
     """
 
     run_id: str

@@ -218,8 +218,8 @@ def _nominal(
 ) -> tuple[FloatArray, FloatArray, float]:
     """Return by how many spreads nominal values are off in the rows that pull, the rows' weights, and their loss.
 
-    The mean radius, the last row, is far off where counts or units are wrong: robust with `dof`, and at first of no
-    more weight than residuals have: `share`.
+    The mean radius, the last row, may be far off: robust with `dof`, and at first of no more weight than residuals
+    have: `share`.
     """
     off = parameters.pull @ ((parameters.nominal - values) / parameters.prior_std)[parameters.free]
     weights, losses = np.ones(len(off)), 0.5 * np.square(off)

@@ -42,7 +42,7 @@ class Freedom:
 def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
     """Return sums of parameters with separate errors: mean radius, ratios of radii and lengths.
 
-    Distances determine the mean radius, headings the ratios; the two errors grow differently along the path.
+    Distances determine the mean radius, headings the ratios.
 
     `values` (shape (n,)). Shape (n, n): a row a direction, of full rank.
     """
@@ -316,27 +316,31 @@ def left_within(solution: Solution, free: BoolArray, segments: Segments, labels:
     rest = solution.prediction.residuals
     white, white_rest = solution.whitener @ columns, np.einsum("nij,nj->ni", solution.whitener, rest)
     session, longest = labels[segments.run], segments.level == 0
-    squares, dof, left, n_segments = np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(2)
+    told, squares, dof, left, n_segments = np.zeros_like(longest), 0.0, 0, np.zeros(2), np.zeros(2)
     for label in np.unique(session[longest]):
         at = (session == label) & longest
-        flat, seen = white[at].reshape(-1, columns.shape[2]), segments.seen[at]
-        scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
-        step, _, rank, _ = np.linalg.lstsq(flat / scale, white_rest[at].ravel(), rcond=DEPENDENT)
-        size = int(seen.sum())
-        if size < 2 * rank:
+        (step, square, rank), seen = _least_squares(white[at], white_rest[at]), segments.seen[at]
+        if (size := int(seen.sum())) < 2 * rank:
             continue
-        own, after = rest[at] - columns[at] @ (step / scale), white_rest[at].ravel() - flat @ (step / scale)
-        squares += np.square(white_rest[at]).sum(), np.square(after).sum()
-        dof += size, size - rank
+        own = rest[at] - columns[at] @ step
+        told, squares, dof = told | at, squares + square, dof + size - rank
         left += np.array([np.square(own[:, :2]).sum(), np.square(own[:, 2]).sum()]) * size / (size - rank)
         n_segments += seen[:, :2].any(axis=1).sum(), seen[:, 2].sum()
-    more = dof[0] - dof[1] - free.sum()
-    if more > 0.0 and squares[1] > 0.0:
-        ratio = (squares[0] - squares[1]) / more / (squares[1] / dof[1])
-        if fdtrc(more, dof[1], ratio) <= SESSIONS_CHANCE:
+    if squares > 0.0:
+        # axes turned alike in all sessions are no difference between them
+        _, together, rank = _least_squares(white[told], white_rest[told])
+        more = int(segments.seen[told].sum()) - rank - dof
+        if more > 0 and fdtrc(more, dof, (together - squares) / more / (squares / dof)) <= SESSIONS_CHANCE:
             position, heading = np.sqrt(left / np.maximum(n_segments, 1.0))
             return float(position), float(heading)
     return np.inf, np.inf
+
+
+def _least_squares(columns: FloatArray, values: FloatArray) -> tuple[FloatArray, float, int]:
+    flat = columns.reshape(-1, columns.shape[2])
+    scale = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
+    step, _, rank, _ = np.linalg.lstsq(flat / scale, values.ravel(), rcond=DEPENDENT)
+    return step / scale, float(np.square(values.ravel() - flat @ (step / scale)).sum()), int(rank)
 
 
 #: groups for a covariance
@@ -351,8 +355,7 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     """Return the covariance, clustered by run or block, session or route.
 
     Runs of one session, or of one route, whose scores are correlated form one group each, and those of sessions that
-    differ: a shared error does not average out over repeats. The grouping of the widest intervals is used; of runs none
-    is narrower than by the noise, for the residuals of few may agree by chance.
+    differ. The grouping of the widest intervals is used; of runs none is narrower than by the noise.
     """
     free = parameters.free
     _, first, block = np.unique(segments.block, return_index=True, return_inverse=True)

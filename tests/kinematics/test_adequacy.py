@@ -228,6 +228,16 @@ def test_a_calibration_that_gains_nothing_says_so(radius_m: float, gained: bool,
     assert any("no better than the nominal values" in each for each in verdict_sentences(found)) is not gained
 
 
+def test_a_small_share_of_the_way_far_beyond_the_noise_is_said(tmp_path: Path) -> None:
+    """20 mm beside a noise of 3 mm: calibrated where the way is long enough, with where to look for the cause."""
+    found = estimate_geometry(read_campaign(steered.write(tmp_path / "c", lambda angle, _: angle)))
+    position = replace(found.judgement.position, before=0.02, after=0.02, held_out=0.02, noise=0.003)
+    for after, said in ((0.02, True), (0.008, False)):
+        judgement = replace(found.judgement, position=replace(position, after=after))
+        sentences = verdict_sentences(replace(found, judgement=judgement))
+        assert any("The position error left is 6.7 times the noise" in each for each in sentences) is said
+
+
 @pytest.mark.parametrize(("senses", "told"), [((1, -1), False), ((1, -1, 1), False), ((1, -1, 1, -1), True)])
 def test_few_runs_are_held_out_only_where_the_others_tell_as_much(senses: tuple[int, ...], told: bool) -> None:
     """The only square of its sense leaves radii and track to the nominal values: its error is no one's but theirs."""

@@ -9,11 +9,12 @@ from typing import Final
 import numpy as np
 
 from calib.fleet.comparison import shown_quantity
-from calib.kinematics.adequacy import USELESS_SHARE, GeometryVerdict
+from calib.kinematics.adequacy import LACK_OF_FIT, USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
 from calib.reporting.formatting import capital, places, plural, prose
+from calib.types import few_digits
 
 _ROUTE: Final = (
     "<route", "n", "before | position (mm)", "before | heading (mrad)", "after | position (mm)",
@@ -61,15 +62,18 @@ def _heading(geometry: Geometry) -> str:
 def verdict_sentences(geometry: Geometry) -> list[str]:
     """Return the verdict with its residuals, and what speaks against the estimates."""
     verdict = geometry.verdict.value.capitalize()
-    judgement, parts = geometry.judgement, []
+    judgement, parts = geometry.judgement, list[str]()
+    more = ["On held-out runs it is no better than the nominal values: nothing is gained by it"] * _idle(geometry)
     for what, of, unit in (("position error", judgement.position, "m"), ("Heading error", judgement.heading, "rad")):
         if of.before:
             sizes = (of.before, of.after, of.held_out, of.expected)
             before, after, held_out, noise = (f"{1e3 * one:{'.3g' if one < 1.0 else '.0f'}} m{unit}" for one in sizes)
             tried = f"{held_out} on held-out runs" if not math.isnan(of.held_out) else "too few runs to hold one out"
             parts.append(f"{what} {before} before, {after} after, {tried}; noise {noise}")
-    idle = ["On held-out runs it is no better than the nominal values: nothing is gained by it"] * _idle(geometry)
-    return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in (*idle, *geometry.why))]
+            if geometry.passed and 0.0 < LACK_OF_FIT * of.expected < of.after:
+                times = few_digits(of.after / of.expected, 2)
+                more.append(f"The {what.lower()} left is {times} times the noise: 'calib diagnose' looks for its cause")
+    return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in (*more, *geometry.why))]
 
 
 def _idle(geometry: Geometry) -> bool:
