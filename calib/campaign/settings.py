@@ -94,9 +94,14 @@ class OdometryModel:
     front: FrontModel | None = None
     mecanum: MecanumModel | None = None
 
+    @property
+    def mean_radius_m(self) -> float:
+        """Mean of both radii."""
+        return 0.5 * (self.radius_left_m + self.radius_right_m)
+
     def steered(self, vehicle: Vehicle) -> FrontModel:
         """Return `front`, by default the nominal one: the shaft of an Ackermann drive counts the rear wheels' mean."""
-        radius_m = 0.5 * (self.radius_left_m + self.radius_right_m)
+        radius_m = self.mean_radius_m
         if vehicle.drive != "ackermann":
             radius_m = vehicle.front_radius_m
         return self.front or FrontModel(radius_m, vehicle.wheelbase_m)

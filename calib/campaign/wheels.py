@@ -83,7 +83,7 @@ def _lacks_rear(campaign: Campaign) -> bool:
 def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campaign:
     """Return the campaign with the counts that two wheels on one axle would have had.
 
-    They are of the model's radii and track; what mecanum wheels roll to the side is the column `ASIDE`.
+    What mecanum wheels roll to the side is the column `ASIDE`.
 
     `model`: the campaign's own by default; its `front` or `mecanum` part takes the place of the vehicle's nominal
     lengths. Raises BadInputError where a mecanum vehicle does not say its l + w.
@@ -132,16 +132,18 @@ def _motion(campaign: Campaign, model: OdometryModel, source: str, log: Mapping[
             return shaft_motion(front, rolled, log["steer_rad"], log["t_s"])
         ahead, turn = front_motion(front, rolled, log["steer_rad"])
         return ahead, np.zeros_like(ahead), turn
-    wheels = model.mecanum or mecanum_model(campaign)
+    wheels = mecanum_model(campaign, model)
+    quarters = [
+        0.25 * wheels.radius_m * each / model.mean_radius_m for each in (model.radius_left_m, model.radius_right_m)
+    ]
     front_left, front_right, rear_left, rear_right = (
-        np.diff(log[name], prepend=log[name][:1]) * (2 * np.pi / encoder.per_rev(name))
-        for name in WHEEL_COLUMNS["wheels"]
+        np.diff(log[name], prepend=log[name][:1]) * (2 * np.pi / encoder.per_rev(name)) * quarter
+        for name, quarter in zip(WHEEL_COLUMNS["wheels"], (*quarters, *quarters), strict=True)
     )
-    quarter = 0.25 * wheels.radius_m
     return (
-        quarter * (front_left + front_right + rear_left + rear_right),
-        quarter * (-front_left + front_right + rear_left - rear_right),
-        quarter * (-front_left + front_right - rear_left + rear_right) / wheels.arm_m,
+        front_left + front_right + rear_left + rear_right,
+        -front_left + front_right + rear_left - rear_right,
+        (-front_left + front_right - rear_left + rear_right) / wheels.arm_m,
     )
 
 
@@ -150,17 +152,19 @@ def counts_per_rev(encoder: Encoder, source: str) -> tuple[float, ...]:
     return tuple(map(encoder.per_rev, WHEEL_COLUMNS[source]))
 
 
-def mecanum_model(campaign: Campaign) -> MecanumModel:
-    """Return the four mecanum wheels of the campaign's model, else of its vehicle.
+def mecanum_model(campaign: Campaign, model: OdometryModel | None = None) -> MecanumModel:
+    """Return four mecanum wheels as a model, the campaign's own by default, has them.
 
-    Raises BadInputError where neither says l + w.
+    Else they have the mean of its radii, and its l + w differs from the vehicle's as its track does. Raises
+    BadInputError where the vehicle does not say l + w.
     """
-    if campaign.model.mecanum is not None:
-        return campaign.model.mecanum
-    if (arm := campaign.vehicle.half_length_plus_half_width_m) is None:
+    model, vehicle = model or campaign.model, campaign.vehicle
+    if model.mecanum is not None:
+        return model.mecanum
+    if (arm := vehicle.half_length_plus_half_width_m) is None:
         key, expected = "vehicle.half_length_plus_half_width_m", "half the wheelbase plus half the track"
         raise BadInputError(f"campaign.toml, {key}: found nothing; expected {expected} of the mecanum vehicle; give it")
-    return MecanumModel(campaign.vehicle.wheel_radius_m, arm)
+    return MecanumModel(model.mean_radius_m, arm * model.track_m / vehicle.track_m)
 
 
 def front_motion(front: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -319,9 +319,10 @@ def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryMo
         names = (radius, "wheelbase_m", drives.STEERING_ZERO, drives.STEERING_SCALE)
         slips = (values.get(name, 0.0) for name in (drives.UNDERSTEER, drives.SIDE_SLIP))
         front = FrontModel(*(values[name] for name in names), *slips)
-    if source == "wheels":
-        mecanum = MecanumModel(values["wheel_radius_m"], values["half_length_plus_half_width_m"])
     left_m, right_m = (float(wheel.radius_m(reference_load_N)) for wheel in (law.left, law.right))
+    if source == "wheels":
+        grown = (left_m + right_m) / (law.left.radius_ref_m + law.right.radius_ref_m)
+        mecanum = MecanumModel(grown * values["wheel_radius_m"], values["half_length_plus_half_width_m"])
     slopes = law.left.slope_m_per_N, law.right.slope_m_per_N
     return OdometryModel(left_m, right_m, file.geometry.track_m, reference_load_N, *slopes, front, mecanum)
 

@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import astuple, replace
+from typing import Final
 
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.wheels import mecanum_model, odometry_source, without_rear_wheels
 from calib.coefficients.build import Header, PoseNoise, from_law, joint_section, load_points
 from calib.coefficients.file import OF_INSTRUMENTS, CoefficientFile, believed_model, effects_left_out
 from calib.coefficients.sections import EffectSection, Quantity
@@ -18,6 +20,10 @@ from calib.gap.effects.library import effect_class, section_of, with_effects
 from calib.gap.predict import measured_gap, predict
 from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
+from calib.types import FloatArray
+
+#: what four wheels with rollers have for a track
+ARM: Final = "half_length_plus_half_width_m"
 
 
 def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[EffectSection] = ()) -> CoefficientFile:
@@ -64,6 +70,9 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         )
 
     left, right, track_m = law(0, "left"), law(1, "right"), model.track_m * (1.0 + float(fitted.calibration[2]))
+    source, rows, lengths = _together(diagnosis, campaign)
+    # a file's track of four wheels is twice l + w
+    wide = 2.0 * float(rows[ARM][4]) if ARM in rows else 1.0
     file = from_law(
         RadiusLaw(left=left, right=right),
         observations.vehicle,
@@ -71,21 +80,32 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         Header(campaign.name, campaign.simulated, "clamp", inputs=campaign.hashes),
         load_table=load_points(*observations.loads_N),
         effects=[*given, *sections],
-        noise=PoseNoise(track_std_m=float(np.sqrt(covariance[4, 4]))),
-    ).calibrated(track=track_m)
-    values = (left.radius_ref_m, left.slope_m_per_N, right.radius_ref_m, right.slope_m_per_N, track_m)
+        noise=PoseNoise(track_std_m=wide * float(np.sqrt(covariance[4, 4]))),
+    ).calibrated(track=wide * track_m)
+    names, matrix = list(rows), np.stack(list(rows.values()))
+    sizes = matrix @ (left.radius_ref_m, left.slope_m_per_N, right.radius_ref_m, right.slope_m_per_N, track_m)
+    spread = matrix @ covariance @ matrix.T
+    known = np.flatnonzero(np.diag(spread))
+    found, told = dict(zip(names, sizes.tolist(), strict=True)), [names[k] for k in known]
+    together = joint_section(file.vehicle.drive, source, found | lengths, told, spread[np.ix_(known, known)])
+    return file.changed(joint_geometry=together)
+
+
+def _together(diagnosis: Diagnosis, campaign: Campaign) -> tuple[str, dict[str, FloatArray], dict[str, float]]:
+    """Return the source of the odometry, its parameters as sums (5,) of `JOINT`, and lengths of the model."""
+    observations, unit = diagnosis.observations, np.eye(len(JOINT))
+    model = observations.model
     if observations.by_front:
         # one counter and the steering: a radius for both, and what is believed of the angle
         source, name = ("shaft", "rear_radius_m") if observations.by_shaft else ("front", "front_radius_m")
         radius_m, *lengths = astuple(model.steered(observations.vehicle))
         steering = ["wheelbase_m", "steering_zero_rad", STEERING_SCALE, "understeer_s2_per_m2", "side_slip_s2_per_m"]
-        found = {name: radius_m * (1.0 + float(fitted.calibration[0]))} | dict(zip(steering, lengths, strict=True))
-        spread = (radius_m / model.radius_left_m) ** 2 * covariance[:1, :1]
-        return file.changed(joint_geometry=joint_section(file.vehicle.drive, source, found, [name], spread))
-    known = np.flatnonzero(np.diag(covariance))
-    names, spread = [JOINT[k] for k in known], covariance[np.ix_(known, known)]
-    together = joint_section(file.vehicle.drive, "rear", dict(zip(JOINT, values, strict=True)), names, spread)
-    return file.changed(joint_geometry=together)
+        return source, {name: radius_m / model.radius_left_m * unit[0]}, dict(zip(steering, lengths, strict=True))
+    if odometry_source(campaign) != "wheels" or not without_rear_wheels(campaign):
+        return "rear", dict(zip(JOINT, unit, strict=True)), {}
+    wheels = mecanum_model(campaign, model)
+    radius = 0.5 * wheels.radius_m / model.mean_radius_m * (unit[0] + unit[2])
+    return "wheels", {"wheel_radius_m": radius, ARM: wheels.arm_m / model.track_m * unit[4]}, {}
 
 
 def _slopes_and_sections(diagnosis: Diagnosis) -> tuple[dict[str, tuple[float, int]], list[EffectSection]]:

@@ -150,10 +150,13 @@ class Steps:
         right = s.travel_right_m if perturbation.right is None else s.travel_right_m * (1.0 + wide(perturbation.right))
         track = s.model.track_m * (np.ones(1) if perturbation.track is None else 1.0 + wide(perturbation.track))
         ds, turn = 0.5 * (left + right), (right - left) / track
+        # of one counter whose radius is off all that it and the steering say is off as much
+        off = (part for part in (perturbation.left, perturbation.right) if s.by_front and part is not None)
+        grown = 1.0 + 0.5 * sum(wide(part) for part in off)
         if perturbation.along_m is not None:
-            ds += wide(perturbation.along_m)
+            ds += grown * wide(perturbation.along_m)
         if perturbation.heading_rad is not None:
-            turn += wide(perturbation.heading_rad)
+            turn += grown * wide(perturbation.heading_rad)
         slip = None if perturbation.lateral_m is None else wide(perturbation.lateral_m)
         if s.aside_m is not None:
             sides = (perturbation.left, perturbation.right)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from calib.campaign.tables import write_campaign
+from calib.campaign.wheels import logged_columns
 from calib.cli.main import run
+from calib.reporting.topics.runs import after_check
 from tests.kinematics.campaigns import mecanum, tricycle
 
 #: what the runs were made with
@@ -49,6 +52,10 @@ def test_check_asks_for_the_wheels_there_are(
     """Counts of rear wheels are not missed; a run whose log lacks a wheel is named with that wheel."""
     status, document = told(["check", str(folders[kind])], capsys)
     assert status == 0 and "missing_counts" not in {note["code"] for note in document["suspicious"]}
+    # nor is a law of two wheels on an axle, which they do not have, the next step where distances were measured
+    found = SimpleNamespace(n_runs=12, n_excluded=0, distance_m=(1.0, 2.0), counts_left=None)
+    report = SimpleNamespace(found=found, suspicious=(), verdict="sound")
+    assert after_check(report, ["ref_x_m", *logged_columns(kind)]) == "check without distances"  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -80,6 +87,22 @@ def test_diagnose_names_what_is_off_and_nothing_once_it_is_calibrated(
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_a_written_fix_closes_the_gap_and_has_the_lengths(
+    kind: str, folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What --apply writes leaves no gap under --model, and holds the lengths that the runs were made with."""
+    model = tmp_path / "model.json"
+    told(["diagnose", str(folders[kind]), "--apply", str(model)], capsys)
+    status, document = told(["diagnose", str(folders[kind]), "--model", str(model)], capsys)
+    assert (status, document["verdict"]) == (0, "no_gap")
+    written = json.loads(model.read_text())["joint_geometry"]
+    assert written["source"] == kind
+    for name, value in TRUTH[kind].items() if kind == "wheels" else ():
+        # 24 runs of some 3 m whose ends are good to 2 mm
+        assert written["parameters"][name]["value"] == pytest.approx(value, rel=5e-4), name
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_replay_ends_where_the_reference_does_once_calibrated(
     kind: str, folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -96,11 +119,13 @@ def test_replay_ends_where_the_reference_does_once_calibrated(
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_export_writes_the_controller_that_has_these_wheels(
-    kind: str, folders: dict[str, Path], capsys: pytest.CaptureFixture[str]
+    kind: str, folders: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """ROS 2 parameters hold the estimated radius; the header for two wheels on one axle is refused in one line."""
-    _, document = told(["export", str(folders[kind]), "--to", "ros2"], capsys)
-    text = document["files"][0]["text"]
+    model = tmp_path / "model.json"
+    told(["diagnose", str(folders[kind]), "--apply", str(model)], capsys)
+    (_, document), (_, applied) = (told(["export", str(of), "--to", "ros2"], capsys) for of in (folders[kind], model))
+    text, of_fix = (each["files"][0]["text"] for each in (document, applied))
     controller, key = {
         "front": ("tricycle_controller", "wheel_radius"),
         "wheels": ("mecanum_drive_controller", "wheels_radius"),
@@ -108,5 +133,8 @@ def test_export_writes_the_controller_that_has_these_wheels(
     assert text.count("_controller:") == 1 and f"{controller}:" in text
     radius = float(text.split(f"{key}: ")[1].split()[0])
     assert radius == pytest.approx(next(iter(TRUTH[kind].values())), rel=1e-3)
+    if kind == "wheels":
+        (arm,) = (float(line.split(": ")[1]) for line in of_fix.splitlines() if "sum_of_robot_center" in line)
+        assert arm == pytest.approx(TRUTH[kind]["half_length_plus_half_width_m"], rel=1e-3)
     assert run(["export", str(folders[kind]), "--to", "c"]) == 2
     assert capsys.readouterr().err.count("\n") == 1

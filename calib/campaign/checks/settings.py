@@ -212,9 +212,9 @@ def unused_slopes(campaign: Campaign) -> Iterator[Note]:
     """Find load laws of rear wheels where others are counted."""
     source, model = odometry_source(campaign), campaign.model
     slopes = model.slope_left_m_per_N, model.slope_right_m_per_N
-    if any(slopes) and source != "shaft" and without_rear_wheels(campaign):
-        text = f"""found slopes of the radius against load, and an odometry by {SOURCE_NAMES[source]}, whose load no
-            column gives; they are not applied: state the radius under the loads driven"""
+    if any(slopes) and source == "front" and without_rear_wheels(campaign):
+        text = f"""found slopes of the radius against load, and an odometry by {SOURCE_NAMES[source]}, whose
+            load is not theirs; they are not applied"""
         yield setting_note("model.slope_left_m_per_N, slope_right_m_per_N", text, "unused_slopes")
 
 

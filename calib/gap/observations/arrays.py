@@ -63,7 +63,7 @@ STRAIGHT_RAD: Final = 0.35
 #: fields of `Observations` with a value for each step
 _OF_STEPS: Final = frozenset(
     {"roll_left_rad", "roll_right_rad", "phase_left_rad", "phase_right_rad", "time_s", "duration_s"}
-    | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_m", "carried_N"}
+    | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_rad", "carried_N"}
 )
 Value = TypeVar("Value")
 
@@ -141,7 +141,8 @@ class Observations:
     #: whether front wheel alone, or the rear axle's way and the steering, drive the odometry: two wheels represent it
     by_front: bool = False
     by_shaft: bool = False  #: whether that is the rear axle's way, under the name of the front wheel's
-    aside_m: FloatArray | None = None  #: shape (n_steps,): what mecanum wheels roll to the left in each step
+    #: shape (n_steps,): what mecanum wheels roll to the left in each step, or an axle slips, over the mean radius
+    aside_rad: FloatArray | None = None
     carried_N: FloatArray | None = None  #: shape (n_steps, 2): loads of both wheels, where logs have them
     #: whether no recalibration is free beside the effects: the parameters of a user's simulator replace it
     calibration_held: bool = False
@@ -290,6 +291,13 @@ class Observations:
     def path_m(self) -> FloatArray:
         """Signed path of each step by the model, shape (n_steps,)."""
         return 0.5 * (self.travel_left_m + self.travel_right_m)
+
+    @_KeptIfFew
+    def aside_m(self) -> FloatArray | None:
+        """Way to the left of each step by the model, shape (n_steps,); None of wheels that only roll ahead."""
+        if self.aside_rad is None:
+            return None
+        return np.asarray(self.aside_rad * self._wide(self.radii_m(self.loads_N).mean(axis=0)))
 
     @_KeptIfFew
     def turn_rad(self) -> FloatArray:

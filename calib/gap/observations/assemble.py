@@ -14,7 +14,7 @@ from calib.gap.observations import routes
 from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations
 from calib.gap.observations.observation import Observation, Setup, let_go, step_array
 from calib.gap.observations.routes import WheelTravel, replicates, weave_of_log
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import GRAVITY_MPS2, BoolArray, FloatArray, IntArray, StrArray
 from calib.vehicle import wheel_loads_N
 
 
@@ -99,7 +99,7 @@ def assemble(setup: Setup, units: Sequence[Observation], notes: Sequence[str]) -
         notes=tuple(remarks),
         by_front=stands_in and bool(np.isfinite(front).any()),
         by_shaft=stands_in and campaign.odometry.source == "shaft",
-        aside_m=None if any(u.aside_m is None for u in units) else _of_steps(units, "aside_m"),
+        aside_rad=None if any(u.aside_m is None for u in units) else _of_steps(units, "aside_m") / model.mean_radius_m,
     )
 
 
@@ -237,6 +237,9 @@ def _numbers(
         if name in numbers:
             numbers[name] = _filled(name, numbers[name], runs.label("session")[index], runs.run_id[index], remarks)
     numbers |= {"load_left_N": left[index], "load_right_N": right[index]}
+    if campaign.odometry.source == "front" and known:
+        weight_N = GRAVITY_MPS2 * (campaign.vehicle.mass_kg + np.nan_to_num(runs.number("payload_kg")))
+        numbers["load_front_N"] = (weight_N - left - right)[index]
     numbers["travelled_km"] = np.concatenate(([0.0], np.cumsum(np.abs(path))[:-1])) / 1000.0
     return numbers, _carried_N(units, steps, numbers)
 

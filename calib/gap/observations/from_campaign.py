@@ -111,9 +111,8 @@ def observations_of(
 ) -> Observations:
     """Arrange a campaign for the diagnosis; `model`: the simulator's, by default the campaign's own.
 
-    Recordings with poses are cut into windows where runs are fewer than a dozen, or hardly any
-    was driven twice, or by `into_windows`. A run without a log counts by its row. Refused where no run has both counts
-    and something measured.
+    Recordings with poses are cut into windows where runs are fewer than a dozen, or hardly any was driven twice, or by
+    `into_windows`. Refused where no run has both counts and something measured.
     """
     setup = _setup(campaign, model)
     n_runs, samples = len(setup.campaign.runs), observation.MAX_STEPS + 1
@@ -137,8 +136,8 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
     model = model or campaign.model
     stands_in = without_rear_wheels(campaign)
     if stands_in:
-        if odometry_source(campaign) != "shaft":
-            # no column gives the load of a front wheel or of four
+        if odometry_source(campaign) == "front":
+            # no column gives the load of a front wheel
             model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         campaign = on_one_axle(campaign, model)
     logs = campaign.logs

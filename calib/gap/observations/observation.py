@@ -263,7 +263,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
 
 
 #: poses begin at the sensor's place where the first is off it by less than this share of its distance from the origin,
-#: however large the noise is: of poses that begin at the origin hardly one does by chance
+#: however large the noise is
 NEAR_PLACE: Final = 0.25
 
 

@@ -88,14 +88,12 @@ def next_runs(
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
     The runs are driven in one session, those at another temperature in one of their own, and those of a route that was
-    not repeated so far `REPEATS` times; with an unladen corridor run where they tell less without it. Each
-    step takes the run after which the two nearest confounded effects are furthest apart, as the diagnosis groups them,
-    else most effects of the library are; runs without which as many are told apart are omitted. What the law of the
-    load lacks is added, and loads driven one way alone.
+    not repeated so far `REPEATS` times. Each step takes the run after which the two nearest confounded effects are
+    furthest apart, else most effects of the library; runs without which as many are told apart are omitted. What the
+    law of the load lacks is added.
 
     `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
-    effects; `apart_on`: how far those are on other runs; `candidates`: see `default_candidates`; `most`: runs to
-    recommend, the unladen one among them.
+    effects; `apart_on`: how far those are on other runs; `candidates`: see `default_candidates`; `most`: runs to name.
     """
     driven = campaign.included()
     measured, dimensions = _measured(driven), dimensions_of(driven)

@@ -140,8 +140,8 @@ def default_candidates(
 ) -> list[PlannedRun]:
     """Return candidates over routes, directions, payloads and their place, speeds, temperatures and dwell.
 
-    `dimensions`: of routes and speeds; usual ones by default. Without motion capture `loops` close on a mark on the
-    floor, `tape` measures corridors. The largest payload is the campaign's, else twice the vehicle's mass.
+    `dimensions`: of routes and speeds; usual ones by default. Without motion capture `loops` close on a mark, `tape`
+    measures corridors. The largest payload is the campaign's, else twice the vehicle's mass.
     """
     dimensions = dimensions or Dimensions()
     carried_kg = float(np.nan_to_num(campaign.runs.number("payload_kg")).max(initial=0.0))
@@ -276,8 +276,9 @@ def _wheel_counts(
         model = campaign.model.steered(campaign.vehicle)
         return _steered(campaign, distance_m, heading_rad, model, source)
     mecanum = mecanum_model(campaign)
-    radii_m = (mecanum.radius_m, mecanum.radius_m)
-    sides = _both_sides(campaign.encoder, distance_m, mecanum.arm_m * heading_rad, radii_m)
+    axle_m = np.stack(radii_of_model(campaign.model, *loads_N))
+    radii_m = mecanum.radius_m / campaign.model.mean_radius_m * axle_m
+    sides = _both_sides(campaign.encoder, distance_m, mecanum.arm_m * heading_rad, [*radii_m])
     return {name: sides[name.endswith("right")] for name in WHEEL_COLUMNS["wheels"]}
 
 

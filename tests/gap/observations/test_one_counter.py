@@ -13,7 +13,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder, Odometry, OdometryModel, Reference
 from calib.gap.apply import applied_model
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.library import library, model_of
+from calib.gap.effects.library import library, model_of, with_effects
 from calib.gap.effects.turning import DriveSlip
 from calib.gap.observations.from_campaign import observations_of
 from calib.io import write_bytes
@@ -110,7 +110,7 @@ def test_a_load_law_that_a_car_lacks_is_named_as_one_and_no_slip(tmp_path: Path)
 
 
 def test_slip_is_never_what_follows_the_load() -> None:
-    """A front wheel's radius under a load that no column gives is no slip, nor has it the rear wheels' law."""
+    """A front wheel's radius under its load is no slip, nor has it the rear wheels' law."""
     made = car("tricycle", (LAW, LAW), (LAW, LAW))
     observations = observations_of(made)
     assert observations.model.slope_left_m_per_N == 0.0
@@ -146,3 +146,23 @@ def test_a_radius_found_by_one_counter_is_in_the_applied_model(tmp_path: Path) -
     assert applied.front is not None
     # the interval of the share found
     assert applied.front.radius_m == pytest.approx(1.004 * RADIUS_M, rel=1e-4)
+
+
+def test_the_radius_of_a_driven_front_wheel_follows_its_own_load(tmp_path: Path) -> None:
+    """It carries the weight that the rear wheels do not; a radius that follows that is named, sized and written."""
+    made, slope = car("tricycle", (0.0, 0.0), (0.0, 0.0)), -2e-5
+    front_N = 9.81 * (made.vehicle.mass_kg + PAYLOADS) - LOADS_N.sum(axis=0)
+    grown = np.repeat(1.0 + slope * (front_N - front_N.mean()), np.diff(made.logs.offsets))
+    columns = {**made.logs.columns, "counts_front": made.logs.columns["counts_front"] / grown}
+    loaded = replace(made, logs=replace(made.logs, columns=columns))
+    np.testing.assert_allclose(observations_of(loaded).number("load_front_N"), front_N, rtol=1e-9)
+    diagnosis = diagnose_in_full(loaded, plan=False)
+    assert [cause.effect for cause in diagnosis.causes] == ["covariate:load_front_N"] and diagnosis.recommended
+    low, high = diagnosis.causes[0].parameters["relative_per_sd"].ci95 or (0.0, 0.0)
+    assert low < slope * front_N.std() < high
+    path = tmp_path / "model.json"
+    write_bytes(path, applied_model(diagnosis, loaded).to_bytes(), force=False)
+    model, effects = model_of(path, loaded)
+    again = with_effects(observations_of(loaded, model), effects)[0]
+    # the interval of the size: some hundredths of a per mille
+    np.testing.assert_allclose(again.simulated[:, 1][ANGLES == 0.0], WAY_M[ANGLES == 0.0], rtol=2e-4)
