@@ -165,10 +165,9 @@ def in_words(module: str = PRESENTATION) -> Any:
 def plain(value: Any) -> Any:
     """Return a value as JSON can hold it: the one serialiser of the project.
 
-    Dataclasses become objects with a key a field, in the order of the fields; arrays become lists, enumerations their
-    values, paths text. Numbers that are not finite become null, which is what JSON has for them. A field is omitted
-    with ``metadata={"json": False}`` and renamed with ``metadata={"json": "name"}``; an object with a ``to_dict`` of
-    its own is asked for it.
+    Dataclasses become objects with a key a field, arrays lists, enumerations their values, paths text, numbers that are
+    not finite null. A field is omitted with ``metadata={"json": False}`` and renamed with ``metadata={"json":
+    "name"}``; an object with a ``to_dict`` of its own is asked for it.
     """
     if value is None or type(value) in {bool, int, str}:
         return value

@@ -1,8 +1,7 @@
 """Files and folders written whole.
 
-A file is written under a temporary name beside its target and then renamed. A folder is made beside its target and
-swapped with it in one step. Where that cannot be the new entries are made inside the folder with a list of what to
-move, which `settle` finishes after a crash. A killed writer leaves the old or the new content.
+A file is written under a temporary name and then renamed. A folder is made beside its target and swapped with it, or
+its entries are made inside with a list of what to move, which `settle` finishes after a crash.
 """
 
 import errno
@@ -183,9 +182,9 @@ def write_files(folder: Path, files: Mapping[str, bytes], *, force: bool = False
 def write_folder(folder: Path, names: Sequence[str], fill: Callable[[Path], None], *, force: bool = False) -> Path:
     """Write the entries `names` of a folder all at once; other entries are kept.
 
-    `folder`: made where missing; `names`: entries that belong together, all of them replaced; `fill`: writes them into
-    an empty folder. Raises BadInputError where an entry is an input of the running command, or exists and `force` is
-    False, or the folder cannot be written; nothing has changed then.
+    `folder`: made where missing; `names`: entries that belong together; `fill`: writes them into an empty folder.
+    Raises BadInputError where an entry is an input of the running command, or exists and `force` is False, or the
+    folder cannot be written; nothing has changed then.
     """
     refuse_empty(folder)
     folder = Path(folder)

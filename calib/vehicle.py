@@ -72,8 +72,7 @@ def wheel_loads_N(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the static loads of the front, left and right wheel (Eqs 1 and 2 plus the force balance).
 
-    Moments about the rear axle and its centre line, off which the centre of mass may be. With ``cog_y_m = 0`` and
-    ``y_paper = y + track / 2`` these are the paper's equations.
+    With ``cog_y_m = 0`` and ``y_paper = y + track / 2`` these are the paper's equations.
 
     `payload_kg`, `payload_x_m`, `payload_y_m`: payload, its distance ahead of the rear axle, and left of the centre
     line; any shapes that broadcast. A negative result means that a wheel would lift off. Returns `front_N`, `left_N`,

@@ -213,8 +213,8 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
 def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray | None = None) -> int | None:
     """Find the width of a counter that overflows inside the logs.
 
-    All counts lie in one span of the counter, and each jump, undone, is a step like the others, as a reset is not. A
-    step over a gap in time may hold the counts of as many usual steps. For shapes see `unwrap`.
+    All counts lie in one span of the counter, and each jump, undone, is a step like the others, as a reset is not. For
+    shapes see `unwrap`.
     """
     if not len(counts) or np.isnan(counts).all():
         return None

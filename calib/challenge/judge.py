@@ -103,9 +103,8 @@ class Judged:
 def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     """Hold the JSON of a verdict (None: there is none) against the truth.
 
-    Right is: nothing, for an empty case; the effect first, for one; both, for two; ``unknown`` or ``partly_explained``,
-    for an effect outside the library; truth and alias in a group, for an exact alias; one of ``unknown``,
-    ``partly_explained`` and an effect nearer than `APART`, where the true effect was deleted.
+    Right is: nothing, for an empty case; the effect first, or both of two; ``unknown`` or ``partly_explained`` for one
+    outside the library; truth and alias in a group; an effect nearer than `APART` where the true one was deleted.
     """
     recipe = truth.recipe
     given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}

@@ -205,9 +205,8 @@ def from_geometry(
 ) -> CoefficientFile:
     """Return the coefficient file of a geometry, estimated from a campaign; for `outside` and `created` see `Header`.
 
-    Without loads the slope is 0, uncertain by `SLOPE_STD_PER_N`, and valid is all that the vehicle may carry. Lengths
-    not determined keep their nominal value. Raises ImplausibleError where the geometry is doubtful or wrong, without a
-    reason to `accept` it.
+    Without loads the slope is 0, uncertain by `SLOPE_STD_PER_N`. Lengths not determined keep their nominal value.
+    Raises ImplausibleError where the geometry is doubtful or wrong, without a reason to `accept` it.
     """
     if not geometry.passed and not accept:
         raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", geometry.why)

@@ -50,7 +50,7 @@ NOISE_PASSES: Final = 3
 #: change of a typical noise level that calls for another search: below, the evidence changes by less than its scatter
 NOISE_CHANGE: Final = 1.25
 #: headings that agree with the counts within this share of their standard uncertainty, on so many runs of which one
-#: turns by so much, are the odometry's own: a whole count is some 0.1 mrad, and no instrument meets it to rounding
+#: turns by so much, are the odometry's own
 COPIED_SHARE: Final = 1e-6
 FEWEST_COPIED: Final = 4
 LEAST_TURN_RAD: Final = 1e-2
@@ -73,8 +73,8 @@ def diagnose_in_full(
     """Diagnose the gap of a campaign by the ends of its runs, and by windows of its recordings where these tell more.
 
     Parameters and refusals: see `calib.api.results.diagnose`; of `model` the effects are `applied` ones, and
-    `model_name` is its file. `plan`: recommend runs. `observations` stand in place of the campaign's, and hold
-    `model` and `applied`; `candidates` in place of the library, and `model_name` is then what simulated.
+    `model_name` is its file. `plan`: recommend runs. `observations` stand in place of the campaign's, and hold `model`
+    and `applied`; `candidates` in place of the library, and `model_name` is then what simulated.
     """
     sought, planted = _Sought(model, applied, exclude), observations
     campaign, unloaded = (campaign, "") if planted is not None else with_known_loads(campaign)

@@ -158,8 +158,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
     """Return the effective radius of each wheel and run that can be used.
 
     The path is corrected by the weave in a run's log, the measured heading at its end, or measured amplitude and
-    wavelength; never by total counts: a steady arc and unequal radii leave the same difference, and correcting for it
-    would make the radii equal.
+    wavelength; never by total counts, which would make the radii equal.
 
     Raises RefusedError where no run can be used.
     """

@@ -258,7 +258,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
     """Fit trend and weave to headings on equal steps of the distance rolled.
 
     The model is ``heading = offset + trend s + atan(dy/dx)`` with ``dy/dx = p cos(k x) + q sin(k x)``; it is fitted by
-    Gauss-Newton over all runs at once, x being the progress along the axis under the present weave.
+    Gauss-Newton over all runs at once.
 
     `rolled_m` (shape (n,)): path of the axle's middle; `heading_rad` (shape (n, m)): at m equal steps from 0 to that.
     Returns the fields of `Weaves`, shape (7, n).

@@ -1,7 +1,6 @@
 """Regression of runs that come in sessions: what is known within sessions, and what only between them.
 
-A radius is ``a + b x + session + run``; both kinds of scatter are estimated from their own stratum, so the intervals
-hold whether or not sessions scatter; see `calib.radius.law`.
+A radius is ``a + b x + session + run``, each scatter estimated from its own stratum; see `calib.radius.law`.
 
 The residuals of a session are a first-order autoregression; see `docs/report.md`.
 """
@@ -93,7 +92,7 @@ def line_of_strata(
 ) -> LineEstimate | None:
     """Return the session-aware line of two sessions or more, by session means and the regression within sessions.
 
-    None where sessions cannot be told from runs (one run a session) or the session means leave no degree of freedom.
+    None where sessions cannot be told from runs or their means leave no degree of freedom.
 
     Parameters
     ----------
@@ -327,8 +326,8 @@ def widened(
 def standing_out(basis: FloatArray, residual: FloatArray, most: int) -> list[tuple[int, float, float]]:
     """Return the runs that stand out most, each omitted before the next: run, studentised residual, its probability.
 
-    Outliers that hide each other are all that come before the last improbable one (Rosner, Technometrics 25 (1983)
-    165). `basis`: orthonormal columns of the design, (n_runs, k); `residual`: what it leaves, (n_runs,); `most`: runs.
+    See Rosner, Technometrics 25 (1983) 165. `basis`: orthonormal columns of the design, (n_runs, k); `residual`: what
+    it leaves, (n_runs,); `most`: runs.
     """
     residual, slack, found = residual.copy(), 1.0 - np.sum(basis**2, axis=1), []
     squares = float(residual @ residual)

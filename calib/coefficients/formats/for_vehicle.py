@@ -1,10 +1,8 @@
 """Files for a vehicle's programs: C99 headers, the look-up table as CSV, ROS 2 controller parameters.
 
 An effect is a macro of its name in ``c_acts.j2``, a controller a name in `OF_DRIVE` and a branch of ``ros2.yaml.j2``.
-Controllers read their geometry once, so a YAML holds for one load; it is an overlay of the vehicle's own parameter
-file, which names the joints.
-
-They hold constant diagonals of the covariance; `docs/exports.md` says of what.
+A YAML holds for one load, with constant diagonals of the covariance (`docs/exports.md`), beside the vehicle's own
+parameter file, which names the joints.
 """
 
 import math

@@ -191,8 +191,8 @@ def _other_laws(evidence: Evidence, effect: str) -> list[str]:
 def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]:
     """Return effects at least a tenth as probable as the named one of their group.
 
-    A form of many parameters (a floor zone, steps between sessions) follows nearly every weak cause: what the evidence
-    charges for parameters tells them apart. Beside the named one it is no alternative to it.
+    A form of many parameters (a floor zone, steps between sessions) follows nearly every weak cause: beside the named
+    one it is no alternative to it.
     """
     models, probable = [*zip(evidence.search.models, evidence.search.probabilities, strict=True)], set[str]()
 
@@ -226,8 +226,7 @@ def _ends(evidence: Evidence, fitted: Fitted) -> FloatArray:
 def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | None:
     """Return the largest root mean square distance of ends under confounded effects; None without any.
 
-    Ends of the journeys to come where given, else of the runs driven. An instrument's error moves no vehicle: its
-    correction and a radius' are as far apart as the radius moves the ends.
+    Ends of the journeys to come where given, else of the runs driven. An instrument's error moves no vehicle.
 
     `groups`: the named effect first.
     """

@@ -1,7 +1,7 @@
 """Whether a cause has one size on all runs, and how much wider it is known where radii step between sessions.
 
-Steps too small to name are a variance component (Searle, Casella, McCulloch, Variance Components, 1992): restricted
-likelihood gives their scatter, Satterthwaite's degrees of freedom how well it is known.
+Steps too small to name are a variance component (Searle, Casella, McCulloch, Variance Components, 1992), known by
+Satterthwaite's degrees of freedom.
 """
 
 from collections.abc import Collection, Iterator, Sequence

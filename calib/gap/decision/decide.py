@@ -247,8 +247,8 @@ def _small(
 def _form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
     """Return the causes whose part a second form of a larger cause explains as well.
 
-    No form is exact: a play between two on offer leaves what looks like a smaller cause. No error is what acts the
-    other way, or a cause of its family: the straight part of a law of the load belongs to its correction.
+    A play between two on offer leaves what looks like a smaller cause. No error is what acts the other way, or a cause
+    of its family.
     """
     if len(causes) < 2:
         return ()

@@ -279,8 +279,8 @@ def elsewhere(fitted: Iterable[str], alternatives: Iterable[str]) -> list[str]:
 def alternatives(evidence: Evidence, found: Finding) -> set[str]:
     """Return what the causes may be instead: the probable ones where they explain all, else every one.
 
-    Odds hold where one cause is the whole truth: not beside an unexplained residual or a size that differs between
-    runs. Session steps always count where held-out sessions do not refute them.
+    Odds do not hold beside an unexplained residual or a size that differs between runs. Session steps always count
+    where held-out sessions do not refute them.
     """
     every = {name for group in found.tied for name in group}
     if found.differing or found.leaves_part:

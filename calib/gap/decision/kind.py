@@ -179,8 +179,8 @@ def with_left(diagnosis: Diagnosis) -> Diagnosis:
 def scatters_alone(evidence: Evidence) -> str:
     """Return how much runs, too few of them driven twice, scatter beyond the stated noise; empty if not beyond it.
 
-    Beyond any level as uncertain as `log_marginal` takes the stated one. Walks of wheels are typical values there, and
-    what follows no covariate nor takes runs far off may be all noise.
+    Beyond any level as uncertain as `log_marginal` takes the stated one; what follows no covariate nor takes runs far
+    off may be all noise.
     """
     n_rows, square = int(evidence.observations.usable.sum()), evidence.fitted.chi_square
     shown = evidence.where.significant or misfit_of(evidence) >= BLUNDER_MISFIT
@@ -209,9 +209,8 @@ def no_mere_noise(evidence: Evidence) -> str:
 def stands_off(evidence: Evidence) -> bool:
     """Return whether runs that agree stand off on one side beyond the reach of noise.
 
-    All runs of a condition, or one of a route by that much and another beyond noise on that route. Of few conditions
-    one that stands off is no lack of fit, and runs that agree are no single runs. Where no repeats measure the noise,
-    also whether all runs are off beyond any level as uncertain as `log_marginal` takes the stated one.
+    All runs of a condition, or one of a route by that much and another beyond noise on that route. Where no repeats
+    measure the noise, also whether all are off beyond any level as uncertain as `log_marginal` takes the stated one.
     """
     usable, noise = evidence.observations.usable, evidence.noise
     if noise.dof <= 0.0 and evidence.fitted.chi_square > most_square(int(usable.sum())):

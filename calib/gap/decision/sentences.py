@@ -32,8 +32,8 @@ LARGE_GAP: Final = 1.0
 def sentence(diagnosis: Diagnosis) -> str:
     """Return the verdict in words, after a noise level far above the stated sigmas.
 
-    The cause, or that it cannot be identified, leads, with effects it is confounded with and whether a recalibration
-    alone closes or hides the gap; then the channels above the noise level, with what they are judged against.
+    The cause leads, or that it cannot be identified, with what it is confounded with; then the channels above the noise
+    level, with what they are judged against.
     """
     return f"{diagnosis.noise_level.finding} {_verdict(diagnosis)}".lstrip()
 

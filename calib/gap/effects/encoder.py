@@ -21,8 +21,8 @@ SAME_PHASE_RAD: Final = 0.06
 class WheelEccentricity(Effect):
     """The travel of a wheel gains e [sin(phi + phi_0) - sin(phi_0)], never more than 2 e.
 
-    Linear in e cos(phi_0) and e sin(phi_0). The wheel angle phi is the counter's, so phi_0 is common to runs only
-    where the counter keeps its place between them; else it is assumed.
+    Linear in e cos(phi_0) and e sin(phi_0). phi_0 is common to runs only where the counter keeps its place between
+    them; else it is assumed.
     """
 
     id = "wheel_eccentricity"
@@ -271,10 +271,9 @@ def bad_runs(nominal: Path) -> dict[str, float]:
 def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by_extent: bool = False) -> FloatArray:
     """Return how far each observation is off, as a share of its length and of its turns, 1 at most, shape (n_obs,).
 
-    The length is the way driven, or from start to end where that is more; turns of less than a radian count as one. A
-    straight run is judged by its length and by how far its wheels differ. With simulated motion of its own, the change
-    from the `nominal` path counts. `by_kind`: way and turns of the middle run of its kind; `by_extent`: of a run that
-    ends away from its start, that distance, and a radian.
+    The length is the way driven, or from start to end where that is more; turns of less than a radian count as one.
+    With simulated motion of its own, the change from the `nominal` path counts. `by_kind`: way and turns of the middle
+    run of its kind; `by_extent`: of a run that ends away from its start, that distance, and a radian.
     """
     observations = path.s
     about = path if nominal is None or not np.isfinite(observations.simulated).any() else nominal

@@ -215,9 +215,8 @@ class _OfPayload(Effect):
 class PayloadMass(_OfPayload):
     """The payload of one label, or of all, is wrong by a share, and with it the loads: dr_i = c_i share dF_i.
 
-    The slopes c_i are the model's, else those of the hypothesis' load law as the other payloads show them; without
-    either it is not considered. All labels at once (a scale that reads too low) are asked of only where the model has
-    slopes: slopes that are off look alike.
+    The slopes c_i are the model's, else those of the hypothesis' load law as the other payloads show them. All labels
+    at once (a scale that reads too low) are asked of only where the model has slopes: slopes that are off look alike.
     """
 
     id = "payload_mass"
@@ -262,7 +261,7 @@ class PayloadPosition(_OfPayload):
     """All payloads stand dy further left or dx further ahead: the loads shift, and with them the radii.
 
     Left: dF = +-m g dy / b, e_theta ~ S 2 c W dy / b^2. Ahead: dF = -m g dx / 2L on each rear wheel and +m g dx / L on
-    the front wheel, whose slope is taken as the mean of theirs, so e_s and e_F go opposite ways.
+    the front wheel, whose slope is taken as the mean of theirs.
     """
 
     id = "payload_position"

@@ -264,8 +264,8 @@ LEAST_BEND_PER_TRACK: Final = 0.1
 class BrakingSkid(Effect):
     """A slide at each stop, the same at every stop or growing with the square of the highest speed since the last one.
 
-    Wheels that creep let the vehicle turn on along its curve, locked ones do not, and a turn may end with the drive: in
-    curves the turn is a parameter of its own, the way along the curve that would turn it as much.
+    In curves the turn is a parameter of its own, the way along the curve that would turn the vehicle as much: wheels
+    that creep let it turn on, locked ones do not.
     """
 
     id = "braking_skid"
@@ -333,8 +333,7 @@ def stops(observations: Observations) -> BoolArray:
 class PathWeave(Effect):
     """Wheels roll (pi A / lambda)^2 further than the distance shows; the parameter is the share of the known weave.
 
-    A run with a log needs no such thing, its path is integrated; a run without one is taken as one arc, and an outside
-    simulator may have driven the straight line.
+    Of a run without a log, which is taken as one arc.
     """
 
     id = "path_weave"

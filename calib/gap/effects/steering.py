@@ -42,8 +42,8 @@ def steer_rad(observations: Observations) -> FloatArray:
 def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray) -> Perturbation:
     """Return what it does that the front wheel says more than is true, by these excesses of way and turn in each step.
 
-    Where rear wheels drive the odometry, the front channels are what these say less what the front wheel says, and grow
-    by the excess. Where the front wheel alone drives it, the vehicle moves less than it says.
+    Where rear wheels drive the odometry, the front channels grow by the excess. Where the front wheel alone drives it,
+    the vehicle moves less than it says.
     """
     if observations.by_front:
         return Perturbation(along_m=-ahead_m, heading_rad=-turn_rad)
@@ -274,8 +274,7 @@ DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
 class SteeringDelay(Effect):
     """The logged angle is tau old, so short of the true one by delta(t + tau) - delta(t), nearly tau d(delta)/dt.
 
-    Below 0 it is ahead, as a command is: the wheel follows it later, or as a lag of first order does. On a run at one
-    speed e_delta = -v tau (delta_end - delta_start) / L.
+    Below 0 it is ahead, as a command is: the wheel follows it later, or as a lag of first order does.
     """
 
     id = "steering_delay"

@@ -63,7 +63,7 @@ def diagnose_simulator(
 ) -> SimulatorDiagnosis:
     """Diagnose the gap between what was measured and the user's simulator.
 
-    The verdict is among its parameters and the library. For parameters see `calib.api.results.diagnose`; `exclude`
+    For parameters see `calib.api.results.diagnose`; `exclude`
     takes ``simulator:NAME`` too. Raises CalibError where the simulator fails, hangs, writes nonsense, or predicts
     nothing measured.
     """

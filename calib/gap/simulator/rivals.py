@@ -43,8 +43,7 @@ class Rival:
 def rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix | None) -> list[Rival]:
     """Return what explains the gap to the noise, the most probable first; empty where no parameters alone do.
 
-    Run are the named parameters, those most able, and of the best set each without one parameter, or with another in
-    its place. `found`: the fix by those named.
+    Run are the named parameters, those most able, and variants of the best set. `found`: the fix by those named.
     """
     n_rows, named = int(diagnosis.nominal.s.usable.sum()), named_parameters(diagnosis, differences)
     limit, verdict = most_square(n_rows, diagnosis.noise.dof), frozenset(cause.effect for cause in diagnosis.causes)

@@ -183,8 +183,8 @@ def _fit(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None)
 def stated(spread: Spread, residuals: FloatArray, raised: float = 1.0) -> tuple[dict[str, float], tuple[str, ...]]:
     """Return the size of each component, times `raised`, and the names of those that the residuals do not determine.
 
-    Without these the fit is worse by no more than chance: of two that explain alike, the one that the runs drive less.
-    They have the most that the residuals allow with any sizes of the others.
+    Without these the fit is worse by no more than chance. They have the most that the residuals allow with any sizes of
+    the others.
     """
     limit = _fit(spread, residuals)[0] + BEYOND_CHANCE
     on = np.ones(len(spread.names), dtype=np.bool_)
@@ -219,8 +219,7 @@ class Fitted:
 def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
     """Fit the sizes, and hold each tenth of the runs of every kind (n_obs,) against the others' sizes.
 
-    Sizes at zero take from the others, and few runs show too little scatter: the sizes are raised until runs held out
-    scatter as predicted in the mean of the three.
+    The sizes are raised until runs held out scatter as predicted in the mean of the three.
     """
     from scipy.stats import chi2
 
