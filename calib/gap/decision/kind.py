@@ -219,9 +219,10 @@ def stands_off(evidence: Evidence) -> bool:
     reach = reach_of_noise(noise.dof, int(usable.sum()))
     _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
     agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled.T), *(-reach > scaled.T)]]
-    if (np.array(agree) & (count > 1)).any():
-        return True
     # windows of a recording share what its radii are off by
+    recordings, _ = np.unique(np.stack([condition, evidence.observations.run]), axis=1)
+    if (np.array(agree) & (np.bincount(recordings) > 1)).any():
+        return True
     for route in () if evidence.observations.windowed else np.unique(evidence.observations.kind):
         mine = evidence.observations.kind == route
         second = reach_of_noise(noise.dof, int(usable[mine].sum()))

@@ -20,6 +20,7 @@ from calib.gap.decision.trials import Trial
 from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
 from calib.gap.localise.locate import CovariateResult
 from calib.gap.observations.arrays import Channel
+from calib.types import IntArray
 
 #: the correction of one certain effect closes the gap on held-out runs
 CLOSED = Closure(fraction=0.98, ci95=(0.95, 1.0), floor_rms_m=0.004)
@@ -200,10 +201,25 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
     """Forty-eight runs of six routes, no two under the same conditions."""
     left = np.zeros((48, 6))
     left[list(off), 2] = list(off.values())
+    runs = np.arange(48)
     observations = SimpleNamespace(
-        usable=np.ones((48, 6), bool), condition=np.arange(48), kind=np.arange(48) % 6, windowed=False
+        usable=np.ones((48, 6), bool), condition=runs, kind=runs % 6, run=runs, windowed=False
     )
     noise = SimpleNamespace(floor=np.ones((48, 6)), dof=90.0)
+    evidence = SimpleNamespace(observations=observations, noise=noise, fitted=SimpleNamespace(left=left))
+    assert stands_off(evidence) is found  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("run", "found"), [(np.arange(24) // 2, False), (np.arange(24), True)])
+def test_windows_of_one_recording_that_agree_share_what_its_radii_are_off_by(run: IntArray, found: bool) -> None:
+    """Two windows alike stand off: of one recording that scatters, or of two recordings."""
+    left = np.zeros((24, 6))
+    left[6:8, 2] = 6.0
+    condition = np.arange(24) // 2
+    observations = SimpleNamespace(
+        usable=np.ones((24, 6), bool), condition=condition, kind=condition, run=run, windowed=True
+    )
+    noise = SimpleNamespace(floor=np.ones((24, 6)), dof=90.0)
     evidence = SimpleNamespace(observations=observations, noise=noise, fitted=SimpleNamespace(left=left))
     assert stands_off(evidence) is found  # type: ignore[arg-type]
 
