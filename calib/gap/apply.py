@@ -70,9 +70,9 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         )
 
     left, right, track_m = law(0, "left"), law(1, "right"), model.track_m * (1.0 + float(fitted.calibration[2]))
-    source, rows, lengths = _together(diagnosis, campaign)
+    source, rows, lengths = _joint_parameters(diagnosis, campaign)
     # a file's track of four wheels is twice l + w
-    wide = 2.0 * float(rows[ARM][4]) if ARM in rows else 1.0
+    per_track = 2.0 * float(rows[ARM][4]) if ARM in rows else 1.0
     file = from_law(
         RadiusLaw(left=left, right=right),
         observations.vehicle,
@@ -80,19 +80,19 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         Header(campaign.name, campaign.simulated, "clamp", inputs=campaign.hashes),
         load_table=load_points(*observations.loads_N),
         effects=[*given, *sections],
-        noise=PoseNoise(track_std_m=wide * float(np.sqrt(covariance[4, 4]))),
-    ).calibrated(track=wide * track_m)
+        noise=PoseNoise(track_std_m=per_track * float(np.sqrt(covariance[4, 4]))),
+    ).calibrated(track=per_track * track_m)
     names, matrix = list(rows), np.stack(list(rows.values()))
     sizes = matrix @ (left.radius_ref_m, left.slope_m_per_N, right.radius_ref_m, right.slope_m_per_N, track_m)
     spread = matrix @ covariance @ matrix.T
     known = np.flatnonzero(np.diag(spread))
-    found, told = dict(zip(names, sizes.tolist(), strict=True)), [names[k] for k in known]
-    together = joint_section(file.vehicle.drive, source, found | lengths, told, spread[np.ix_(known, known)])
+    found, determined = dict(zip(names, sizes.tolist(), strict=True)), [names[k] for k in known]
+    together = joint_section(file.vehicle.drive, source, found | lengths, determined, spread[np.ix_(known, known)])
     return file.changed(joint_geometry=together)
 
 
-def _together(diagnosis: Diagnosis, campaign: Campaign) -> tuple[str, dict[str, FloatArray], dict[str, float]]:
-    """Return the source of the odometry, its parameters as sums (5,) of `JOINT`, and lengths of the model."""
+def _joint_parameters(diagnosis: Diagnosis, campaign: Campaign) -> tuple[str, dict[str, FloatArray], dict[str, float]]:
+    """Return the odometry's source, its parameters as sums (5,) of `JOINT`, and lengths of the model."""
     observations, unit = diagnosis.observations, np.eye(len(JOINT))
     model = observations.model
     if observations.by_front:

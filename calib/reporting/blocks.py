@@ -5,7 +5,7 @@ import shlex
 import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache, cached_property, partial
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any
@@ -145,7 +145,7 @@ class Table(Block):
                 raise ValueError(f"table {self.caption!r}: {len(row)} cells in a row of {len(self.columns)} columns")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Picture(Block):
     """A figure: name, caption, alternative text, and what draws it when needed."""
 
@@ -153,6 +153,11 @@ class Picture(Block):
     caption: str
     alt: str
     draw: "Callable[[], Figure]" = field(metadata={"json": False})
+
+    @cached_property
+    def svg(self) -> bytes:
+        """SVG, drawn once for page and PDF."""
+        return bytes(named("figures", "style.render")(self.draw(), "svg"))
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ from calib.errors import CalibError
 from calib.io import write_files
 from calib.reporting.blocks import Block, Heading, Picture, Section
 from calib.reporting.content import Attachment, Report
-from calib.reporting.figures.style import known, render, render_all
+from calib.reporting.figures.style import known, render_all
 from calib.reporting.formatting import EQUATIONS
 from calib.reporting.source import number_of
 from calib.reporting.topics import content_of
@@ -50,7 +50,7 @@ def to_pdf(report: Report, progress: Progress = silent) -> bytes:
         "data.json": to_json(report.to_dict()).encode("utf-8"),
     }
     for picture in stepped(report.pictures, progress, "figures of the PDF"):
-        sources[f"{picture.name}.svg"] = _svg(picture)
+        sources[f"{picture.name}.svg"] = picture.svg
     sources |= {attachment.name: attachment.data for attachment in report.attachments}
     if report.logo is not None:
         sources |= dict([report.logo])
@@ -159,15 +159,7 @@ def brief_html(result: Result) -> str:
 
 
 def _pictures(blocks: Iterable[Block]) -> dict[str, str]:
-    return {one.name: base64.b64encode(_svg(one)).decode() for one in blocks if isinstance(one, Picture)}
-
-
-def _svg(picture: Picture) -> bytes:
-    # once for page and PDF
-    kept = vars(picture.draw)
-    if "svg" not in kept:
-        kept["svg"] = render(picture.draw(), "svg")
-    return bytes(kept["svg"])
+    return {one.name: base64.b64encode(one.svg).decode() for one in blocks if isinstance(one, Picture)}
 
 
 @cache

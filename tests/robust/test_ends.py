@@ -298,7 +298,7 @@ def test_names_outside_the_font_and_the_encoding_reach_every_output(tmp_path: Pa
     # has the name of the campaign
     code = (
         "import sys; from calib.cli.main import run; from calib.reporting import pages; at = sys.argv[1]; ended = []\n"
-        f"pages._svg = lambda _: {BLANK!r}\n"
+        f"pages.Picture.svg = {BLANK!r}\n"
         "for words in (['check', at, '--json', '-'], ['export', at, '--to', 'json'],\n"
         "    ['report', at, '--into', at + '/r.pdf', '--html', at + '/r.html', '--date', '2025-01-01']):\n"
         "    ended.append(run(words)); print(end=chr(0))\n"

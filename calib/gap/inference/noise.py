@@ -40,7 +40,7 @@ STATED_EXCESS: Final = 2.0
 #: a larger one may exceed what grows as noise does by this factor
 MAX_GROWTH_RATIO: Final = 2.0
 #: log of how much likelier repeats may be by their own noise level than by that of routes (2 of 58 sound campaigns are)
-MAX_DOUBT: Final = 4.6
+MAX_LOG_RATIO: Final = 4.6
 #: windows joined to a longer one
 JOINED_WINDOWS: Final = (1, 2, 4, 8)
 #: fewest windows of a length
@@ -171,7 +171,7 @@ def _contradicts_repeats(
         np.ones(len(grouped.units)),
     )
     best = repeatability.most_likely_scales(repeats, log_scale)
-    return repeats.cost(log_scale, even)[0] - repeats.cost(best, even)[0] > MAX_DOUBT
+    return repeats.cost(log_scale, even)[0] - repeats.cost(best, even)[0] > MAX_LOG_RATIO
 
 
 def _noise(
