@@ -17,7 +17,7 @@ from calib.campaign.readers import READERS, is_bag_folder, read_table
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.settings_file import read_settings
 from calib.campaign.tables import run_table
-from calib.campaign.wheels import SPEEDS, WHEEL_COLUMNS, odometry_source, on_one_axle, with_counts, without_rear_wheels
+from calib.campaign.wheels import SPEEDS, WHEEL_COLUMNS, counted_source, on_one_axle, with_counts
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import inside, settle, sha256_file
 from calib.types import FloatArray, IntArray, Progress, silent
@@ -217,8 +217,7 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
 def rates_at_rest(campaign: Campaign, run: int) -> FloatArray:
     """Return what a run's gyro reads while no wheel counts, shape (n,), none without a standstill of `STANDSTILL_S`."""
     log = campaign.logs.of(run)
-    source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
-    wheels = [log[name] for name in WHEEL_COLUMNS[source] if name in log]
+    wheels = [log[name] for name in WHEEL_COLUMNS[counted_source(campaign)] if name in log]
     if GYRO not in log or not wheels:
         return np.zeros(0)
     t_s, rate = log["t_s"], log[GYRO]

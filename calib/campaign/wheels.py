@@ -12,7 +12,7 @@ import numpy as np
 from calib.campaign.model import Border, Campaign, Logs
 from calib.campaign.settings import Encoder, FrontModel, MecanumModel, Odometry, OdometryModel, OdometrySource
 from calib.errors import BadInputError
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, since_start
 from calib.vehicle import Vehicle
 
 #: what drives the odometry -> columns of the log with the counts of its wheels
@@ -58,6 +58,11 @@ def odometry_source(campaign: Campaign) -> OdometrySource:
 def without_rear_wheels(campaign: Campaign) -> bool:
     """Return whether the odometry runs on other wheels than two on an axle, and no rear wheel is counted by itself."""
     return odometry_source(campaign) != "rear" and _lacks_rear(campaign)
+
+
+def counted_source(campaign: Campaign) -> str:
+    """Return the source of `WHEEL_COLUMNS` whose counts there are: the rear wheels' wherever they are counted."""
+    return odometry_source(campaign) if _lacks_rear(campaign) else "rear"
 
 
 def on_its_source_alone(campaign: Campaign) -> Campaign:
@@ -247,9 +252,8 @@ def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
     step = np.zeros(len(rate))
     step[1:] = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)
     begin = logs.offsets[:-1][logs.lengths > 0]
-    step[begin] = np.where(np.isnan(rate[begin]), np.nan, 0.0)
-    total = np.cumsum(np.nan_to_num(step))
-    total -= np.repeat(total[begin], logs.lengths[logs.lengths > 0])
+    step[begin] = 0.0
+    total = since_start(np.nan_to_num(step), np.append(begin, len(rate)))
     return np.where(np.isfinite(rate), total, np.nan)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from typing import Any, Final
 
@@ -340,13 +341,10 @@ def _two_columns(replay: Replay) -> tuple[FloatArray, FloatArray] | None:
 
 
 def _one_speed(at_mps: float) -> SizedAct:
-    def act(world: World, size: float) -> None:
-        def during(now: Moment) -> None:
-            now.roll_more(size * np.exp(-(((np.abs(now.v_mps) - at_mps) / (NARROW * at_mps)) ** 2)))
+    def during(size: float, now: Moment) -> None:
+        now.roll_more(size * np.exp(-(((np.abs(now.v_mps) - at_mps) / (NARROW * at_mps)) ** 2)))
 
-        world.during.append(during)
-
-    return act
+    return lambda world, size: world.during.append(partial(during, size))
 
 
 def _left_turns(world: World, size: float) -> None:

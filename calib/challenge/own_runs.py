@@ -299,7 +299,7 @@ def challenge_own(
     workers : int
         Processes of this machine.
     seconds : float
-        Then no further diagnosis begins; each size is planted once before any is twice.
+        Then no further diagnosis begins.
     seed : int
         Of all that is drawn.
     progress : Progress

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,31 +13,28 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.challenge.seal import each, read_public
 from calib.errors import CalibError
+from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.decision.held_out import end_rms_m
+from calib.gap.diagnose import diagnose_in_full
+from calib.gap.effects.effect import forms_on
+from calib.gap.effects.library import library
+from calib.gap.inference.fit import hypothesis_path, whitened_rows
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict, residuals
 from calib.io import inside, write_json
 from calib.types import Progress, silent
-
-if TYPE_CHECKING:
-    from calib.gap.decision.diagnosis import Diagnosis
-
 
 #: see `achieved`
 Achieved = dict[str, float | None]
 
 
-def achieved(diagnosis: "Diagnosis", fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
+def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
     """Return the gap of a fresh campaign of the same truth under the model alone and under the fix, not refitted.
 
     ``before_rms_m``, ``after_rms_m`` are of the end position (else of the distance), those ``over_floor`` of all
     channels over their noise, ``fraction`` of whitened squares. None where the verdict names no cause, or a form of its
     causes cannot be had there.
     """
-    from calib.gap.decision.held_out import end_rms_m
-    from calib.gap.effects.effect import forms_on
-    from calib.gap.effects.library import library
-    from calib.gap.inference.fit import hypothesis_path, whitened_rows
-    from calib.gap.observations.from_campaign import observations_of
-    from calib.gap.predict import predict, residuals
-
     if not diagnosis.causes:
         return None
     there = observations_of(fresh)
@@ -78,8 +75,6 @@ class Ran:
 def _diagnose_and_try(
     campaign: Campaign, seed: int, exclude: tuple[str, ...], fresh: Campaign | None
 ) -> tuple[Mapping[str, Any], Achieved | None]:
-    from calib.gap.diagnose import diagnose_in_full
-
     diagnosis = diagnose_in_full(campaign, seed=seed, exclude=exclude)
     return diagnosis.to_dict(), None if fresh is None else achieved(diagnosis, fresh, exclude)
 

@@ -25,7 +25,6 @@ from calib.types import Progress, silent
 
 Group = Literal["empty", "calibration", "single", "natural", "pair", "outside", "alias", "deleted", "crowded"]
 GROUPS: Final[tuple[Group, ...]] = get_args(Group)
-SEEDS: Final = Path(__file__).parent / "seeds"
 SIGNALS: Final = (3.0, 5.0, 10.0, 25.0)
 _FORMAT: Final = "calib-challenge-seeds/1"
 _EXPECTED: Final = f"a whole number as seed, max_runs of 20 or more, and in [cases] counts of {', '.join(GROUPS)}"

@@ -1,13 +1,14 @@
-"""`calib init`, `ingest` and `check`: a campaign, empty or from raw lab files, what is wrong with it; `calib fleet`."""
+"""`calib init`, `ingest`, `check`: a campaign, what is wrong with it; its paths (`deviation`), `loads`; `fleet`."""
 
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 from calib.cli import terminal
-from calib.cli.terminal import Count, Place, arg, opt
+from calib.cli.terminal import Count, Number, Numbers, Place, Text, arg, opt
 from calib.errors import BadInputError, refuse_more, refuse_workers
+from calib.reporting.blocks import drawn
 
 #: runs cut out of a recording that are listed
 _LISTED_RUNS = 8
@@ -54,6 +55,7 @@ def ingest(
         raise BadInputError(
             "--into: found no campaign folder to make; expected one; give --into FOLDER, or --describe to look first"
         )
+    from calib.campaign.checks.design import listed
     from calib.campaign.ingest import build
     from calib.documents import plain
 
@@ -75,9 +77,8 @@ def ingest(
     for note in build.merged_notes(ingested.notes):
         terminal.say(f"{note.where}: {note.text}")
     if cuts := ingested.cuts:
-        shown = ", ".join(f"{cut.run_id} {cut.start_s:.1f}-{cut.end_s:.1f} s" for cut in cuts[:_LISTED_RUNS])
-        more = f" and {len(cuts) - _LISTED_RUNS} more" if len(cuts) > _LISTED_RUNS else ""
-        terminal.say(f"Cut into runs: {shown}{more}.")
+        shown = listed([f"{cut.run_id} {cut.start_s:.1f}-{cut.end_s:.1f} s" for cut in cuts], _LISTED_RUNS)
+        terminal.say(f"Cut into runs: {shown}.")
     end = "; nothing was written" if dry_run else ""
     terminal.say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs{end}")
     terminal.then("ingest --dry-run" if dry_run else "ingest", c=ingested.folder)
@@ -121,6 +122,124 @@ def check(
     named = {*read.logs.columns, *read.runs.labels, *read.runs.numbers}
     terminal.then(after_check(report, named), c=campaign)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0
+
+
+AMPLITUDES_M: Final = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
+WAVELENGTHS_M: Final = (40.0, 5.0)
+
+
+def deviation(
+    campaign: Annotated[
+        Place, arg("CAMPAIGN", "Campaign whose runs are judged; without it only the table is made.")
+    ] = None,
+    tolerance: Annotated[float, opt("SHARE", "Largest relative error of a radius.")] = 0.0005,
+    amplitude: Annotated[Numbers, opt("M", "Amplitude of the weave in the table; may be given again.")] = None,
+    wavelength: Annotated[Numbers, opt("M", "Wavelength of the weave in the table; may be given again.")] = None,
+    distance: Annotated[Number, opt("M", "Distance S_O of the table; 40 m, or the campaign's median.")] = None,
+    track: Annotated[Number, opt("M", "Distance between the wheels; 0.7 m, or the campaign's.")] = None,
+    radius_ratio: Annotated[Number, opt("E_R", "Also show the steady arc of wheels with r_R / r_L = E_R.")] = None,
+) -> int:
+    """Show the error that a woven path or a steady arc adds to a radius, and judge each run.
+
+    Exit status 1 where a run's path moved a radius by more than the tolerance.
+
+    Example: calib deviation sample_runs/corridor --tolerance 0.0005; calib deviation --amplitude 0.5 --wavelength 5
+    """
+    from calib.campaign.read import read_campaign
+    from calib.radius import deviation as table
+    from calib.reporting.topics.runs import arc_content, runs_content, weave_content
+
+    with terminal.progress("reading"):
+        read = None if campaign is None else read_campaign(campaign)
+        judged = None if read is None else table.judge_runs(read, tolerance)
+    distance_m, track_m = table.table_setting(read, distance, track)
+    rows = table.deviation_rows(amplitude or AMPLITUDES_M, wavelength or WAVELENGTHS_M, distance_m, track_m, tolerance)
+    arc = None if radius_ratio is None else table.arc_row(radius_ratio, distance_m, track_m)
+    document: dict[str, object] = {"tolerance": tolerance, "track_m": track_m, "table": rows, "arc": arc}
+    content = weave_content(rows, tolerance, track_m) if judged is None or amplitude or wavelength else ()
+    content += () if arc is None else arc_content(arc)
+    if judged is not None and read is not None:
+        content += runs_content(read.name, read.simulated, judged)
+        document |= {
+            "campaign": read.name,
+            "simulated": read.simulated,
+            "runs": judged.rows(),
+            "left_out": [{"run_id": run.run_id, "reason": run.reason} for run in judged.left_out],
+            "notes": list(judged.notes),
+            "passed": judged.passed,
+        }
+    terminal.answer(document, content)
+    unknown = judged is not None and "unknown" in judged.verdict
+    step = "deviation unknown" if unknown else "deviation CAMPAIGN" if campaign else "deviation"
+    terminal.then(step, c=campaign or "")
+    return 0 if judged is None or judged.passed else 1
+
+
+COLUMNS: Final = {"payload": "payload_kg", "x": "payload_x_m", "y": "payload_y_m"}
+#: what is swept -> name of the figure's files
+STEMS: Final = {"payload": "fig3b", "y": "fig3a"}
+
+
+def loads(
+    payload: Annotated[Number, opt("KG", "Mass of the payload (0).")] = None,
+    x: Annotated[Number, opt("M", "Its centre of mass ahead of the rear axle (0).")] = None,
+    y: Annotated[Number, opt("M", "Its centre of mass left of the centre line (0).")] = None,
+    sweep: Annotated[Text, opt("WHAT", "Vary payload, x or y (Fig. 3).")] = None,
+    first: Annotated[Number, opt(None, "First value of the sweep.", "--from")] = None,
+    last: Annotated[Number, opt(None, "Last value of the sweep.", "--to")] = None,
+    steps: Annotated[Count, opt(None, "Values of the sweep (21).")] = None,
+    weighed: Annotated[Text, opt("F,L,R", "Weighed loads in N (front,left,right): find the payload instead.")] = None,
+    sigma: Annotated[Number, opt("N", "Standard uncertainty of each weighing (0).")] = None,
+    vehicle: Annotated[Place, opt("CAMPAIGN|COEFFICIENTS", "Take the vehicle from there.")] = None,
+    mass: Annotated[Number, opt("KG", "Mass of the vehicle.")] = None,
+    cog_x: Annotated[Number, opt("M", "Its centre of mass, ahead of the axle.")] = None,
+    cog_y: Annotated[Number, opt("M", "Its centre of mass, left positive.")] = None,
+    track: Annotated[Number, opt("M", "Track.")] = None,
+    wheelbase: Annotated[Number, opt("M", "Wheelbase.")] = None,
+    max_load: Annotated[Number, opt("N", "Permissible wheel load.")] = None,
+    figures: terminal.Figures = None,
+) -> None:
+    """Compute static wheel loads (Eqs 1 and 2 with the force balance), or the payload from weighed wheels.
+
+    A payload under which a wheel would lift or carry more than is permitted is refused.
+
+    Example: calib loads --payload 100 --x 0.5 --sweep y --from -0.2333 --to 0.2333 --figures loads
+    """
+    from dataclasses import asdict
+
+    from calib.odometry.law_path import vehicle_of
+    from calib.reporting.topics.simulation import loads_content, weighed_content
+    from calib.vehicle import payload_from_wheel_loads, sweep_loads
+
+    lengths = {"cog_x_m": cog_x, "cog_y_m": cog_y, "track_m": track, "wheelbase_m": wheelbase}
+    meant = vehicle_of(vehicle, mass_kg=mass, max_wheel_load_N=max_load, **lengths)
+    at = {"--payload": payload, "--x": x, "--y": y}
+    swept_by = {"--from": first, "--to": last, "--steps": steps}
+    if weighed is not None:
+        terminal.refuse_options("with --weighed", {**at, "--sweep": sweep, **swept_by, "--figures": figures})
+        front, left, right = terminal.numbers(weighed, 3, "--weighed")
+        known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma or 0.0)
+        document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma or 0.0}
+        terminal.answer(document, weighed_content(known, known=bool(sigma)))
+        terminal.then("loads --weighed")
+        return
+    terminal.refuse_options("without --weighed", {"--sigma": sigma})
+    if sweep is None:
+        terminal.refuse_options("without --sweep", swept_by)
+    elif sweep in COLUMNS:
+        terminal.refuse_options(f"with --sweep {sweep}", {f"--{sweep}": at[f"--{sweep}"]})
+    if sweep is not None and (sweep not in COLUMNS or first is None or last is None):
+        near = "" if sweep in COLUMNS else terminal.nearest(sweep, COLUMNS)
+        raise BadInputError(f"--sweep: found {sweep!r}; expected payload, x or y, with --from and --to{near}")
+    stem = STEMS.get(sweep or "", "loads")
+    terminal.refuse_outputs(figures=figures, names=[stem])
+    swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
+    placed = (value or 0.0 for value in at.values())
+    swept = sweep_loads(meant, *placed, swept=swept_column, span=span, steps=21 if steps is None else steps)
+    written = terminal.draw(figures, lambda: {stem: drawn("motion.load_figure", swept)})
+    document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
+    terminal.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
+    terminal.then("loads")
 
 
 def run(

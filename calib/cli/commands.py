@@ -15,7 +15,7 @@ from calib.errors import BadInputError, inputs_kept, refuse_special
 from calib.io import refuse_empty
 
 #: parameters that say where something is written; every other path is an input
-OUTPUTS: Final = frozenset({"into", "output", "json", "json_target", "figures", "apply", "html", "tum", "plot"})
+OUTPUTS: Final = frozenset({"into", "output", "json", "figures", "apply", "html", "tum", "plot"})
 #: commands with further outputs: what one makes, another reads, and the folder that it makes
 ALSO: Final[dict[str, frozenset[str]]] = {"init": frozenset({"folder"}), "make": frozenset({"truth"})}
 
@@ -78,7 +78,7 @@ def _refuse_empty(parameters: Sequence[Any], words: Sequence[str]) -> None:
 
 
 def _refuse_dash(ctx: Any) -> None:
-    takes = {"json", "json_target"} | ({"output"} if ctx.info_name == "export" else set())
+    takes = {"json", *(["output"] if ctx.info_name == "export" else [])}
     for parameter in ctx.command.params:
         if parameter.name in OUTPUTS - takes and str(ctx.params.get(parameter.name)) == "-":
             raise BadInputError(
@@ -143,10 +143,9 @@ COMMANDS: Final = tuple(name for name in SUMMARIES if name not in GROUPS)
 
 #: commands of one word that share a module, where each is the function that bears its name
 TOGETHER: Final = {
-    **dict.fromkeys(("check", "fleet", "init", "ingest"), "campaigns"),
-    **dict.fromkeys(("fit", "geometry", "deviation", "loads"), "fit"),
+    **dict.fromkeys(("check", "deviation", "fleet", "init", "ingest", "loads"), "campaigns"),
+    **dict.fromkeys(("fit", "geometry", "export", "report"), "fit"),
     **dict.fromkeys(("effects", "plan"), "diagnose"),
-    **dict.fromkeys(("export", "report"), "export"),
     "challenge": "simulate",
 }
 

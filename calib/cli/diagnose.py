@@ -12,8 +12,6 @@ if TYPE_CHECKING:
     from calib.campaign.model import Campaign
     from calib.coefficients.sections import EffectSection
     from calib.gap.decision.diagnosis import Diagnosis
-    from calib.gap.effects.library import Entry
-    from calib.gap.predict import Path as DrivenPath
     from calib.types import Progress
 
 
@@ -160,9 +158,6 @@ def _check_excluded(exclude: tuple[str, ...], campaign: "Campaign") -> None:
         raise BadInputError(f"--{error}{near}") from error
 
 
-DEMONSTRATION = "demonstration runs (corridor both ways, squares, curves)"
-
-
 def effects(
     effect: Annotated[Text, arg("ID", "An effect, of which all is said; without it a list.")] = None,
     campaign: Annotated[
@@ -177,8 +172,21 @@ def effects(
 
     Example: calib effects track_width --figures pictures
     """
+    from calib.campaign.read import read_campaign
+    from calib.gap.effects.library import catalogue, every_effect
+    from calib.gap.observations.from_campaign import observations_of
+    from calib.gap.plan.planned_runs import demonstration
+    from calib.gap.predict import predict
+
     with terminal.progress("looking"):
-        nominal, entries, runs = _catalogued(effect, campaign)
+        read = demonstration() if campaign is None else read_campaign(campaign)
+        declared = read.extra.get("effects", ())
+        nominal = predict(observations_of(read))
+        if effect is not None and effect not in (known := every_effect(nominal.s, declared=declared)):
+            near = terminal.nearest(effect, known) or "; choose one of it"
+            raise BadInputError(f"found the effect {effect!r}; expected one that 'calib effects' lists{near}")
+        entries = catalogue(nominal, declared, () if effect is None else (effect,))
+    runs = f"the runs of {read.name}" if campaign else "demonstration runs (corridor both ways, squares, curves)"
     shown = {f"signature-{one.effect.id}": one.signature for one in entries if one.signature is not None}
     drawable = {name.replace(":", "-"): signature for name, signature in shown.items()}
     terminal.refuse_outputs(figures=figures, names=drawable)
@@ -190,23 +198,6 @@ def effects(
     )
     terminal.then("effects EFFECT" if effect else "effects", c=campaign or "CAMPAIGN")
     terminal.emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]})
-
-
-def _catalogued(effect: str | None, campaign: Path | None) -> "tuple[DrivenPath, list[Entry], str]":
-    from calib.campaign.read import read_campaign
-    from calib.gap.effects.library import catalogue, every_effect
-    from calib.gap.observations.from_campaign import observations_of
-    from calib.gap.plan.planned_runs import demonstration
-    from calib.gap.predict import predict
-
-    read = demonstration() if campaign is None else read_campaign(campaign)
-    declared = read.extra.get("effects", ())
-    nominal = predict(observations_of(read))
-    if effect is not None and effect not in (known := every_effect(nominal.s, declared=declared)):
-        near = terminal.nearest(effect, known) or "; choose one of it"
-        raise BadInputError(f"found the effect {effect!r}; expected one that 'calib effects' lists{near}")
-    runs = DEMONSTRATION if campaign is None else f"the runs of {read.name}"
-    return nominal, catalogue(nominal, declared, () if effect is None else (effect,)), runs
 
 
 def plan(
@@ -229,13 +220,11 @@ def plan(
     """
     if (campaign is None) == (source is None):
         raise BadInputError("plan: found both or none; expected a CAMPAIGN or --from PLAN.toml; give one of them")
-    if source is not None and candidates is not None:
-        raise BadInputError("--candidates: found with --from; expected with a CAMPAIGN; leave one of them out")
-    if source is None and figures is not None:
-        raise BadInputError("--figures: found without --from; expected with it; leave it out")
     if source is not None:
+        terminal.refuse_options("with --from", {"--candidates": candidates})
         _judge(source, figures)
     elif campaign is not None:
+        terminal.refuse_options("without --from", {"--figures": figures})
         _next(campaign, candidates, most, seed)
 
 

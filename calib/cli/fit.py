@@ -1,17 +1,23 @@
-"""`calib fit`, `geometry`, `deviation`, `loads`: the radius law and what it rests on; radii, track and sensor."""
+"""`calib fit`, `geometry`: the law of the radii; radii, track and sensor; `export`, `report`: what is made of them."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any
 
 from calib.cli import terminal
-from calib.cli.terminal import Count, Number, Numbers, Place, Text, Texts, arg, opt
+from calib.cli.terminal import Number, Place, Text, Texts, arg, opt
+from calib.coefficients.formats import FORMATS, PATCHING, Artifact, ExportOptions, parse_loads, place, refuse_loads
 from calib.errors import BadInputError
 from calib.reporting.blocks import drawn
+from calib.reporting.exports import BINARY, export_from
+from calib.reporting.exports import FORMATS as OTHER_FORMATS
 
 if TYPE_CHECKING:
-    from calib.coefficients.build import Source
+    from calib.campaign.model import Campaign
     from calib.radius.result import Fit
-    from calib.reporting.blocks import Block
+    from calib.reporting.content import Report
+    from calib.types import Progress
 
 
 _REFERENCE = "Load on which the coefficients are centred; without it: reference_load_N of campaign.toml."
@@ -34,16 +40,22 @@ def fit(
 
     Example: calib fit sample_runs/corridor --into results/corridor
     """
-    from dataclasses import replace
-
     from calib.campaign.read import read_or_ingest
     from calib.radius.fit import fit_campaign
-    from calib.radius.result import FIT_FILE, RUNS_FILE, provenance, write_result
-    from calib.reporting.topics.fit import FIT_PICTURES, after_fit, fit_content, fit_pictures
+    from calib.radius.result import FIT_FILE, RUNS_FILE, compare_laws, provenance, write_result
+    from calib.reporting.topics.fit import FIT_PICTURES, after_fit, comparison_content, fit_content, fit_pictures
 
     results = [] if into is None else [into / FIT_FILE, into / RUNS_FILE]
     terminal.refuse_outputs(*results, figures=figures, names=FIT_PICTURES)
-    believed, reference_load = _believed(model, reference_load)
+    believed = None
+    if model is not None:
+        from calib.coefficients.build import coefficients_of
+
+        if reference_load is not None:
+            expected = "one of them, since the model brings its own"
+            raise BadInputError(f"--reference-load: found with --model; expected {expected}; leave one out")
+        believed = coefficients_of(model)
+        reference_load = believed.file.law.left.reference_load_N
     with terminal.progress("fitting") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         fitted = fit_campaign(read, reference_load_N=reference_load)
@@ -51,9 +63,12 @@ def fit(
     fitted = replace(fitted, provenance=provenance(read, arguments))
     document, content = fitted.to_dict(), fit_content(fitted, runs=runs)
     if believed is not None:
-        comparison, blocks = _compared(fitted, believed)
-        document["model_comparison"] = comparison
-        content = (*content[:-1], *blocks, content[-1])
+        from calib.coefficients.file import effects_left_out
+
+        notes = (*believed.notes, *effects_left_out(believed.file, "not compared"))
+        compared = compare_laws(fitted.left, fitted.right, believed.file.law)
+        document["model_comparison"] = compared.to_dict() | {"notes": list(notes)}
+        content = (*content[:-1], *comparison_content(compared, notes), content[-1])
     if not terminal.wants_stdout():
         terminal.show(content)
     terminal.wrote([] if into is None else [write_result(fitted, into, force=terminal.forced())])
@@ -61,29 +76,6 @@ def fit(
     terminal.emit_json(document)
     terminal.then(after_fit(fitted), c=campaign)
     return 0 if fitted.passed else 1
-
-
-def _believed(model: Path | None, reference_load: float | None) -> "tuple[Source | None, float | None]":
-    if model is None:
-        return None, reference_load
-    from calib.coefficients.build import coefficients_of
-
-    if reference_load is not None:
-        raise BadInputError(
-            "--reference-load: found with --model; expected one of them, since the model brings its own; leave one out"
-        )
-    source = coefficients_of(model)
-    return source, source.file.law.left.reference_load_N
-
-
-def _compared(fitted: "Fit", believed: "Source") -> "tuple[dict[str, object], tuple[Block, ...]]":
-    from calib.coefficients.file import effects_left_out
-    from calib.radius.result import compare_laws
-    from calib.reporting.topics.fit import comparison_content
-
-    notes = (*believed.notes, *effects_left_out(believed.file, "not compared"))
-    compared = compare_laws(fitted.left, fitted.right, believed.file.law)
-    return compared.to_dict() | {"notes": list(notes)}, comparison_content(compared, notes)
 
 
 USING = {"end-poses": "end_poses", "windows": "windows"}
@@ -111,8 +103,6 @@ def geometry(
 
     Example: calib geometry my_squares --figures pictures --output coefficients.json
     """
-    from dataclasses import replace
-
     from calib.campaign.check import assumed_notes
     from calib.campaign.read import read_or_ingest
     from calib.coefficients.build import from_geometry, geometry_document
@@ -150,119 +140,181 @@ def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
     return None if given is None else known[given]
 
 
-AMPLITUDES_M: Final = (0.05, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
-WAVELENGTHS_M: Final = (40.0, 5.0)
+_LOAD = "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv)."
+_CONTROLLER = "ROS 2 controller, may be given again; without it those of the vehicle's drive."
+_VELOCITIES = "ROS 2: the joints report velocities, not positions."
+_COMMANDS = "ROS 2: odometry from the commands, not from the encoders."
+KNOWN = (*FORMATS, *OTHER_FORMATS)
 
 
-def deviation(
-    campaign: Annotated[
-        Place, arg("CAMPAIGN", "Campaign whose runs are judged; without it only the table is made.")
+def export(
+    source: Annotated[
+        Path, arg("CAMPAIGN|FIT", "Campaign, result folder of calib fit or geometry, its JSON, or coefficients.json.")
+    ],
+    to: Annotated[str, opt("FORMAT", f"{', '.join(KNOWN)}; json is the master.")],
+    output: Annotated[
+        Place, opt(None, "File, or folder where several files are made; without it, or '-': standard output.")
     ] = None,
-    tolerance: Annotated[float, opt("SHARE", "Largest relative error of a radius.")] = 0.0005,
-    amplitude: Annotated[Numbers, opt("M", "Amplitude of the weave in the table; may be given again.")] = None,
-    wavelength: Annotated[Numbers, opt("M", "Wavelength of the weave in the table; may be given again.")] = None,
-    distance: Annotated[Number, opt("M", "Distance S_O of the table; 40 m, or the campaign's median.")] = None,
-    track: Annotated[Number, opt("M", "Distance between the wheels; 0.7 m, or the campaign's.")] = None,
-    radius_ratio: Annotated[Number, opt("E_R", "Also show the steady arc of wheels with r_R / r_L = E_R.")] = None,
-) -> int:
-    """Show the error that a woven path or a steady arc adds to a radius, and judge each run.
-
-    Exit status 1 where a run's path moved a radius by more than the tolerance.
-
-    Example: calib deviation sample_runs/corridor --tolerance 0.0005; calib deviation --amplitude 0.5 --wavelength 5
-    """
-    from calib.campaign.read import read_campaign
-    from calib.radius import deviation as table
-    from calib.reporting.topics.runs import arc_content, runs_content, weave_content
-
-    with terminal.progress("reading"):
-        read = None if campaign is None else read_campaign(campaign)
-        judged = None if read is None else table.judge_runs(read, tolerance)
-    distance_m, track_m = table.table_setting(read, distance, track)
-    rows = table.deviation_rows(amplitude or AMPLITUDES_M, wavelength or WAVELENGTHS_M, distance_m, track_m, tolerance)
-    arc = None if radius_ratio is None else table.arc_row(radius_ratio, distance_m, track_m)
-    document: dict[str, object] = {"tolerance": tolerance, "track_m": track_m, "table": rows, "arc": arc}
-    content = weave_content(rows, tolerance, track_m) if judged is None or amplitude or wavelength else ()
-    content += () if arc is None else arc_content(arc)
-    if judged is not None and read is not None:
-        content += runs_content(read.name, read.simulated, judged)
-        document |= {
-            "campaign": read.name,
-            "simulated": read.simulated,
-            "runs": judged.rows(),
-            "left_out": [{"run_id": run.run_id, "reason": run.reason} for run in judged.left_out],
-            "notes": list(judged.notes),
-            "passed": judged.passed,
-        }
-    terminal.answer(document, content)
-    unknown = judged is not None and "unknown" in judged.verdict
-    step = "deviation unknown" if unknown else "deviation CAMPAIGN" if campaign else "deviation"
-    terminal.then(step, c=campaign or "")
-    return 0 if judged is None or judged.passed else 1
-
-
-COLUMNS: Final = {"payload": "payload_kg", "x": "payload_x_m", "y": "payload_y_m"}
-#: what is swept -> name of the figure's files
-STEMS: Final = {"payload": "fig3b", "y": "fig3a"}
-
-
-def loads(
-    payload: Annotated[Number, opt("KG", "Mass of the payload (0).")] = None,
-    x: Annotated[Number, opt("M", "Its centre of mass ahead of the rear axle (0).")] = None,
-    y: Annotated[Number, opt("M", "Its centre of mass left of the centre line (0).")] = None,
-    sweep: Annotated[Text, opt("WHAT", "Vary payload, x or y (Fig. 3).")] = None,
-    first: Annotated[Number, opt(None, "First value of the sweep.", "--from")] = None,
-    last: Annotated[Number, opt(None, "Last value of the sweep.", "--to")] = None,
-    steps: Annotated[Count, opt(None, "Values of the sweep (21).")] = None,
-    weighed: Annotated[Text, opt("F,L,R", "Weighed loads in N (front,left,right): find the payload instead.")] = None,
-    sigma: Annotated[Number, opt("N", "Standard uncertainty of each weighing (0).")] = None,
-    vehicle: Annotated[Place, opt("CAMPAIGN|COEFFICIENTS", "Take the vehicle from there.")] = None,
-    mass: Annotated[Number, opt("KG", "Mass of the vehicle.")] = None,
-    cog_x: Annotated[Number, opt("M", "Its centre of mass, ahead of the axle.")] = None,
-    cog_y: Annotated[Number, opt("M", "Its centre of mass, left positive.")] = None,
-    track: Annotated[Number, opt("M", "Track.")] = None,
-    wheelbase: Annotated[Number, opt("M", "Wheelbase.")] = None,
-    max_load: Annotated[Number, opt("N", "Permissible wheel load.")] = None,
-    figures: terminal.Figures = None,
+    load: Annotated[Texts, opt("N", _LOAD)] = None,
+    outside: Annotated[Text, opt("RULE", "Loads that were not measured: refuse (the default) or clamp.")] = None,
+    date: Annotated[Text, opt("YYYY-MM-DD", "Date written into the file.")] = None,
+    controller: Annotated[Texts, opt("NAME", _CONTROLLER)] = None,
+    model: Annotated[
+        Place, opt("MODEL", "Your simulator's model; a copy is patched (mjcf, urdf, sdf).", "--into")
+    ] = None,
+    left: Annotated[str, opt("NAME", "Joint, body or link of the left rear wheel in MODEL.")] = "",
+    right: Annotated[str, opt("NAME", "The same of the right rear wheel.")] = "",
+    velocity_feedback: Annotated[bool, opt(None, _VELOCITIES, "--velocity-feedback")] = False,
+    open_loop: Annotated[bool, opt(None, _COMMANDS, "--open-loop")] = False,
+    accept_implausible: terminal.AcceptImplausible = "",
 ) -> None:
-    """Compute static wheel loads (Eqs 1 and 2 with the force balance), or the payload from weighed wheels.
+    """Write the coefficients for a vehicle, a controller, a simulator's model, or a calibration certificate.
 
-    A payload under which a wheel would lift or carry more than is permitted is refused.
-
-    Example: calib loads --payload 100 --x 0.5 --sweep y --from -0.2333 --to 0.2333 --figures loads
+    Example: calib export sample_runs/corridor --to ros2 --load 300 --load 500,700 --output params
     """
-    from dataclasses import asdict
+    from calib.coefficients.build import coefficients_of, export
 
-    from calib.odometry.law_path import vehicle_of
-    from calib.reporting.topics.simulation import loads_content, weighed_content
-    from calib.vehicle import payload_from_wheel_loads, sweep_loads
+    # a dash is standard output, as for --json
+    output = None if output == Path("-") else output
+    terminal.refuse_outputs(None if output is not None and output.is_dir() else output)
+    accept = accept_implausible.strip()
+    notes: list[str] = []
+    head: dict[str, object] = {"to": to}
+    if to not in KNOWN:
+        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(KNOWN)}{terminal.nearest(to, KNOWN)}")
+    refuse_loads(load, to)
+    unused: dict[str, object] = {} if to in PATCHING else {"--into": model, "--left": left, "--right": right}
+    if to in OTHER_FORMATS:
+        unused |= {"--date": date, "--outside": outside, "--controller": controller}
+        unused |= {"--velocity-feedback": velocity_feedback, "--open-loop": open_loop}
+    terminal.refuse_options(f"with --to {to}", unused)
+    artifacts: Sequence[Artifact]
+    if to in BINARY and output is None:
+        raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
+    if to in OTHER_FORMATS:
+        with terminal.progress(to) as tick:
+            artifacts = export_from(source, to, accept=accept, progress=tick)
+    else:
+        coefficients = coefficients_of(source, outside=outside, created=date, accept=accept)
+        given = ExportOptions(parse_loads(load or []), tuple(controller or ()), model=model, left=left, right=right)
+        options = replace(given, position_feedback=not velocity_feedback, open_loop=open_loop)
+        artifacts = export(coefficients.file, to, options=options)
+        notes += coefficients.notes
+        head |= {name: getattr(coefficients.file, name) for name in ("checksum", "outside", "simulated")}
+    notes += [text for artifact in artifacts for text in artifact.notes]
+    files = _written(artifacts, output)
+    terminal.emit_json({**head, "files": files, "notes": notes})
+    for text in notes:
+        terminal.note(text)
+    if output is not None:
+        # where the files went to standard output, nothing is added to them
+        terminal.then(f"export {to}", c=source, file=files[0]["path"])
 
-    lengths = {"cog_x_m": cog_x, "cog_y_m": cog_y, "track_m": track, "wheelbase_m": wheelbase}
-    meant = vehicle_of(vehicle, mass_kg=mass, max_wheel_load_N=max_load, **lengths)
-    at = {"--payload": payload, "--x": x, "--y": y}
-    swept_by = {"--from": first, "--to": last, "--steps": steps}
-    if weighed is not None:
-        terminal.refuse_options("with --weighed", {**at, "--sweep": sweep, **swept_by, "--figures": figures})
-        front, left, right = terminal.numbers(weighed, 3, "--weighed")
-        known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma or 0.0)
-        document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma or 0.0}
-        terminal.answer(document, weighed_content(known, known=bool(sigma)))
-        terminal.then("loads --weighed")
-        return
-    terminal.refuse_options("without --weighed", {"--sigma": sigma})
-    if sweep is None:
-        terminal.refuse_options("without --sweep", swept_by)
-    elif sweep in COLUMNS:
-        terminal.refuse_options(f"with --sweep {sweep}", {f"--{sweep}": at[f"--{sweep}"]})
-    if sweep is not None and (sweep not in COLUMNS or first is None or last is None):
-        near = "" if sweep in COLUMNS else terminal.nearest(sweep, COLUMNS)
-        raise BadInputError(f"--sweep: found {sweep!r}; expected payload, x or y, with --from and --to{near}")
-    stem = STEMS.get(sweep or "", "loads")
-    terminal.refuse_outputs(figures=figures, names=[stem])
-    swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
-    placed = (value or 0.0 for value in at.values())
-    swept = sweep_loads(meant, *placed, swept=swept_column, span=span, steps=21 if steps is None else steps)
-    written = terminal.draw(figures, lambda: {stem: drawn("motion.load_figure", swept)})
-    document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
-    terminal.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
-    terminal.then("loads")
+
+def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:
+    if output is not None:
+        files = place(artifacts, output, force=terminal.forced())
+        terminal.wrote([written["path"] for written in files])
+        return files
+    if terminal.wants_stdout():
+        return [{"name": artifact.name, "text": artifact.data.decode("utf-8")} for artifact in artifacts]
+    terminal.emit_text("---\n".join(artifact.data.decode("utf-8") for artifact in artifacts))
+    return []
+
+
+def report(
+    source: Annotated[Path, arg("CAMPAIGN|RESULT", "Campaign folder, or result folder of calib fit, or its fit.json.")],
+    into: Annotated[
+        Place, opt("FILE|FOLDER", "PDF file, or folder for it; without it: reports/<campaign>.pdf.")
+    ] = None,
+    date: terminal.Date = None,
+    figures: terminal.Figures = None,
+    html: Annotated[Place, opt("FILE", "Write the same as one HTML page, too; with --diagnosis interactive.")] = None,
+    diagnosis: Annotated[
+        bool, opt(None, "Add the diagnosis of the gap between measured and simulated motion.", "--diagnosis")
+    ] = False,
+    seed: terminal.Seed = 0,
+    accept_implausible: terminal.AcceptImplausible = "",
+) -> int:
+    """Write the report on a campaign as PDF/A-3, the coefficient file attached.
+
+    The [report] section of campaign.toml states laboratory, customer, vehicle, instruments and dates. Exit status 1
+    where a check says that the law should not be used as it is; the report is written all the same and says so, but
+    numbers that cannot be are refused without --accept-implausible.
+    Runs that allow no law, as loops do, give a report of their geometry.
+
+    Example: calib report sample_runs/corridor_crossed --into corridor_crossed.pdf --date 2025-03-31
+    """
+    from calib.io import write_bytes, write_text
+    from calib.reporting.content import place_of, report_of
+    from calib.reporting.figures.style import write_figures
+    from calib.reporting.pages import to_pdf
+    from calib.reporting.source import issue_date, opened
+
+    terminal.refuse_outputs(html, into if into and into.suffix.lower() == ".pdf" and not into.is_dir() else None)
+    issued, force, drawn = issue_date(date), terminal.forced(), list[Path]()
+    _refuse_targets(source, into, figures)
+    with terminal.progress("report") as tick:
+        given = opened(source, progress=tick)
+        accept, drawn_by = accept_implausible.strip(), seed if diagnosis else None
+        report = report_of(given, issued=issued, accept=accept, seed=drawn_by, where=source, progress=tick)
+        target = place_of(report.name, into, force=force)
+        if figures is not None:
+            drawn = write_figures(report.figures(), figures, force=force, progress=tick)
+        page = "" if html is None else _page(report, given, tick)
+        write_bytes(target, to_pdf(report, tick), force=force)
+    if html is not None:
+        write_text(html, page, force=force)
+    marked = ", simulated data" if report.simulated else ""
+    terminal.wrote([], what=f"{target} (report {report.report_id}{marked})")
+    terminal.wrote([] if html is None else [html])
+    if drawn:
+        terminal.wrote([], what=f"{len(drawn)} figure files to {figures}")
+    if not report.passed:
+        what = "law" if report.geometry is None else "geometry"
+        terminal.say(f"A check failed: the {what} should not be used as it is; the report says why.")
+    terminal.then(_next_step(report, given), c=source)
+    terminal.emit_json({"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()})
+    return 0 if report.passed else 1
+
+
+def _next_step(report: "Report", given: "Fit | Campaign") -> str:
+    from calib.campaign.model import Campaign
+
+    if report.diagnosis is not None:
+        from calib.reporting.topics.diagnosis import after_diagnosis
+
+        return after_diagnosis(report.diagnosis)
+    if report.geometry is not None:
+        from calib.reporting.topics.geometry import after_geometry
+
+        step = after_geometry(report.geometry, None)
+        return "fit lacks runs" if step == "geometry lengths" else step
+    stated = given.extra if isinstance(given, Campaign) else given.provenance
+    return ("report" if "certificate" in stated else "report unstated") if report.passed else "report failed"
+
+
+def _refuse_targets(source: Path, into: Path | None, figures: Path | None) -> None:
+    from calib.campaign.settings_file import read_settings
+    from calib.reporting.content import place_of
+
+    settings = source / "campaign.toml"
+    if settings.is_file():
+        place_of(read_settings(settings, str(settings)).name, into, force=terminal.forced())
+    if figures is not None:
+        from calib.reporting.pages import GAP_PICTURES
+        from calib.reporting.topics.fit import FIT_PICTURES
+
+        terminal.refuse_outputs(figures=figures, names=(*FIT_PICTURES, *GAP_PICTURES))
+
+
+def _page(report: "Report", given: "Fit | Campaign", tick: "Progress") -> str:
+    from calib.campaign.model import Campaign
+    from calib.reporting.pages import to_html
+
+    tick(0, 0, "page")
+    if report.diagnosis is None or not isinstance(given, Campaign):
+        return to_html(report)
+    from calib.reporting.interactive import interactive_panels
+
+    return to_html(report, interactive_panels(report.diagnosis, given))

@@ -255,7 +255,7 @@ def _invoke(arguments: list[str]) -> int:
     arguments = with_default(arguments)
     command = command_of(arguments)
     try:
-        with command.make_context("calib", list(arguments)) as context:
+        with command.make_context("calib", arguments) as context:
             result = command.invoke(context)
     except typer.Exit as ended:
         return ended.exit_code

@@ -68,6 +68,13 @@ def _tell(
         terminal.wrote(written)
 
 
+def _loads_N(texts: list[str] | None, option: str) -> list[tuple[float, float]]:
+    pairs = [(left, right) for left, right in (terminal.numbers(text, 2, option) for text in texts or ())]
+    if any(value <= 0.0 for pair in pairs for value in pair):
+        raise BadInputError(f"{option}: found 0 N or below; expected loads above 0 N; correct it")
+    return pairs
+
+
 def route(
     route: Routes = None,
     real: Annotated[Text, opt("L,R", "Real radii, m.")] = None,
@@ -103,8 +110,8 @@ def route(
         if min(left, right, *base) <= 0.0:
             raise BadInputError("--believed, --real: found a radius of 0 or below; expected metres above 0")
         cases.append(Case.given(left / base[0], right / base[1]))
-    elif believed is not None:
-        raise BadInputError("--believed: found no --real beside it; expected both; give the real radii, too")
+    else:
+        terminal.refuse_options("without --real", {"--believed": believed})
     if not cases:
         raise BadInputError(
             "found no radii; expected --real or --ratio; under a fitted law it is 'calib simulate journey --law PATH'"
@@ -140,17 +147,15 @@ def journey(
     from calib.odometry.routes import carried_loads_N, loading_on_the_way
     from calib.odometry.simulation import CUSTOM, LawJourneys, simulate
 
-    base = terminal.numbers(reference, 2, "--reference-load") if reference else ()
-    loads_N = terminal.pairs(load, "--load")
+    base = _loads_N([reference] if reference else None, "--reference-load")
+    loads_N = _loads_N(load, "--load")
     carried = [terminal.numbers(text, 3, "--payload") for text in payload or ()]
     changes = [terminal.numbers(text, 4, "--payload-at") for text in payload_at or ()]
-    if min([*base, *(value for pair in loads_N for value in pair)], default=1.0) <= 0.0:
-        raise BadInputError("--load, --reference-load: found 0 N or below; expected loads above 0 N; correct it")
     source = law_source(law, track)
     loads_N += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
     with terminal.progress("driving"):
         loading = loading_on_the_way(source.vehicle, changes) if changes else None
-        under = LawJourneys(source, loads_N, (base[0], base[1]) if base else None, loading, draws)
+        under = LawJourneys(source, loads_N, base[0] if base else None, loading, draws)
         rng = np.random.default_rng(seed)
         simulation = simulate(CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=rng)
     finish(simulation, (output, tum, speed), seed=seed, notes=source.notes, law=law)
@@ -184,11 +189,9 @@ def study(
     if name not in STUDIES:
         near = terminal.nearest(name, STUDIES)
         raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}{near}")
-    loads_N = terminal.pairs(load, "--load")
+    loads_N = _loads_N(load, "--load")
     if law is None:
         terminal.refuse_options("without --law", {"--load": load, "--draws": draws})
-    if min((value for pair in loads_N for value in pair), default=1.0) <= 0.0:
-        raise BadInputError("--load: found 0 N or below; expected loads above 0 N; correct it")
     source = None if law is None else law_source(law, track)
     if source is not None:
         track = source.track_m

@@ -314,11 +314,6 @@ def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:
     return values
 
 
-def pairs(texts: Iterable[str] | None, name: str) -> list[tuple[float, float]]:
-    """Return the pairs of numbers of texts such as ``300,1100``; `name` is the option, for the message."""
-    return [(left, right) for left, right in (numbers(text, 2, name) for text in texts or ())]
-
-
 def nearest(word: str, known: Iterable[str]) -> str:
     """Return ``; did you mean 'x'?`` for the known words that are near, else an empty text."""
     near = difflib.get_close_matches(word, list(known), n=3, cutoff=0.5)

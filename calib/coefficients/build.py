@@ -342,8 +342,7 @@ def coefficients_from(given: Fit | Campaign, accept: str = "", **changes: Any) -
     else:
         fit, inputs = fit_campaign(given), given.hashes
     master = from_fit(replace(fit, accepted=accept), inputs=inputs, **changes)
-    failed = [(name, check) for name, wheel in fit.wheels.items() for check in wheel.checks if not check.passed]
-    notes = tuple(f"{name} wheel, check {check.name} failed: {check.sentence}" for name, check in failed)
+    notes = tuple(f"{name} wheel, check {check.name} failed: {check.sentence}" for name, check in fit.failed_checks)
     return Source(master, notes)
 
 

@@ -30,9 +30,6 @@ GEOMETRY_FILE: Final = "geometry.json"
 
 Outside = Literal["refuse", "clamp"]
 
-#: defaults, not written
-USUAL_VEHICLE: Final = {"drive": "tricycle"} | dict.fromkeys(("front_wheel_radius", "load_track", "load_wheelbase"))
-
 #: a coefficient file has some 10 kB
 FILE_LIMIT_BYTES: Final = 16 << 20
 
@@ -138,22 +135,7 @@ class CoefficientFile(Section):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document as plain Python values, in the order of the file."""
-        document = self.model_dump(mode="json")
-        for name in ("joint_geometry", "assumed", "accepted_implausible"):
-            if not document[name]:
-                # older readers do not know these sections
-                del document[name]
-        strata = [wheel["strata"] or {} for wheel in document["wheels"].values()]
-        optional = [(wheel, "strata") for wheel in document["wheels"].values()]
-        optional += [(part, "session_f") for part in strata]
-        optional.append((document.get("joint_geometry", {}), "run_covariance"))
-        for section, name in optional:
-            if section.get(name, 0) is None:
-                del section[name]
-        for name, usual in USUAL_VEHICLE.items():
-            if document["vehicle"][name] == usual:
-                del document["vehicle"][name]
-        return document
+        return self.model_dump(mode="json")
 
     def to_bytes(self) -> bytes:
         """Return the file's content: UTF-8 JSON; the same bytes for the same content."""
@@ -257,9 +239,7 @@ class CoefficientFile(Section):
         Raises RefusedError where one lies outside the valid range and the file says ``refuse``; BadInputError where it
         is not finite.
         """
-        left, right = self.wheels.left, self.wheels.right
-        outside = self.outside
-        return _radius(left, load_left_N, outside, "left"), _radius(right, load_right_N, outside, "right")
+        return _radius(self, "left", load_left_N), _radius(self, "right", load_right_N)
 
 
 def load_coefficients(path: Path | str) -> CoefficientFile:
@@ -349,18 +329,18 @@ def fitted_beside(file: CoefficientFile) -> tuple[str, ...]:
     )
 
 
-def _radius(wheel: sections.WheelSection, load_N: ArrayLike, outside: Outside, side: str) -> FloatArray:
-    loads = floats(load_N)
+def _radius(file: CoefficientFile, side: str, load_N: ArrayLike) -> FloatArray:
+    wheel, loads = getattr(file.wheels, side), floats(load_N)
     low, high = wheel.valid_load.min.value, wheel.valid_load.max.value
     if not np.isfinite(loads).all():
         raise BadInputError(f"{side} wheel load: found NaN or infinity; expected newtons; check the load sensor")
-    if outside == "refuse" and ((loads < low) | (loads > high)).any():
+    if file.outside == "refuse" and ((loads < low) | (loads > high)).any():
         worst = float(loads.flat[int(np.argmax(np.maximum(low - loads, loads - high)))])
         raise RefusedError(
             f"{side} wheel load: found {worst:g} N; expected {low:g} to {high:g} N, the loads measured and 1 % of "
             "their span (at least 1 N) beyond; measure there, or export with --outside clamp"
         )
-    return wheel.law.radius_m(np.clip(loads, low, high))
+    return np.asarray(wheel.law.radius_m(np.clip(loads, low, high)))
 
 
 def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, object]:

@@ -4,10 +4,11 @@ A number is ``{"value": 0.7, "unit": "m"}``.
 """
 
 import re
+from collections.abc import Callable
 from typing import Annotated, Any, Final, Generic, Literal, Self, TypeVar, get_args
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_serializer, model_validator
 
 from calib.errors import BadInputError
 from calib.radius.law import LineEstimate, WheelLaw
@@ -21,6 +22,9 @@ BitCount = Annotated[float, Field(ge=8.0, le=48.0, multiple_of=1.0)]
 ValueT = TypeVar("ValueT", bound=float)
 UnitT = TypeVar("UnitT", bound=str)
 SectionT = TypeVar("SectionT", bound="Section")
+
+#: keys written also at their default; older readers do not know the others that may be omitted
+ALWAYS: Final = ("created", "load_table", "effects", "inputs", "wrap_bits", "dof", "systematic", "form", "settings")
 
 #: unit in the file -> suffix of the same number's name in Python
 SUFFIXES: Final = {
@@ -51,6 +55,11 @@ class Section(BaseModel):
             if unit is not None and isinstance(value, (int, float)):
                 fields[name] = {"value": float(value), "unit": unit}
         return validated(cls, fields)
+
+    @model_serializer(mode="wrap")
+    def _written(self, written: Callable[[Self], dict[str, Any]]) -> dict[str, Any]:
+        usual = {name: of.get_default(call_default_factory=True) for name, of in type(self).model_fields.items()}
+        return {name: part for name, part in written(self).items() if name in ALWAYS or part != usual[name]}
 
     @classmethod
     def _unit(cls, name: str) -> str | None:

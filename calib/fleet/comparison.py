@@ -7,6 +7,7 @@ from typing import Any, Final
 from warnings import catch_warnings
 
 import numpy as np
+from scipy.special import chdtri, digamma, polygamma, stdtr, stdtrit
 
 from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats, grouped
@@ -40,8 +41,6 @@ class Population:
 
 def population(values: FloatArray, std: FloatArray) -> Population | None:
     """Return a quantity's mean and spread over vehicles; None with fewer than three."""
-    from scipy.special import chdtri, stdtrit
-
     n = len(values)
     if n < 3:
         return None
@@ -81,8 +80,6 @@ def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArra
 
     Median and median deviation find those that may stand apart; mean and spread of the others, better known, judge all.
     """
-    from scipy.special import stdtr
-
     away = np.abs(values - np.median(values))
     variance = std**2 + SMALLEST_VARIANCE
 
@@ -120,8 +117,6 @@ def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatA
     The inverse chi-squared of variances has degrees of freedom two standard errors low. None falls below its own: one
     wheel's sessions may scatter as no other's.
     """
-    from scipy.special import digamma, polygamma
-
     n, half = len(dof), 0.5 * dof
     if n < 2 * FEWEST_COMPARED:
         return variance, dof

@@ -22,7 +22,7 @@ from calib.fleet.vehicle import WHEELS, Drift, PartSums, VehicleRecord, WheelLin
 from calib.fleet.workers import engine
 from calib.radius.effective import declared_sources, effective_radii
 from calib.radius.fit import fit_campaign
-from calib.types import FloatArray, Progress, StrArray, silent
+from calib.types import FloatArray, Progress, silent
 
 #: the day of a run, from any origin
 DAY: Final = "day"
@@ -43,7 +43,8 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
         radii = fit.radii if fit else effective_radii(campaign)
     except (CalibError, OSError) as error:
         return PartSums(part.name, key, 0.0, 0.0, why=one_line(error))
-    day = _days(campaign, radii.run_id, part)
+    days = campaign.runs.number(DAY)[np.isin(campaign.runs.run_id, radii.run_id)]
+    day = np.where(np.isfinite(days), days, 0.0 if part.day is None else part.day)
     reference, nominal = campaign.model.reference_load_N, campaign.vehicle.wheel_radius_m
     session = np.where(radii.session == "", part.name, radii.session)
     columns = ((radii.load_left_N, radii.radius_left_m), (radii.load_right_N, radii.radius_right_m))
@@ -69,13 +70,6 @@ def campaign_of(part: Part, known: dict[Path, Campaign], *, lenient: bool = Fals
     runs = run_table(read_table(part.path, part.name), part.name, border)
     campaign = replace(shared, root=part.settings, runs=runs, logs=Logs.empty(len(runs)))
     return replace(completed(campaign, part.name, border), notes=tuple(border.notes))
-
-
-def _days(campaign: Campaign, run_id: StrArray, part: Part) -> FloatArray:
-    days = campaign.runs.number(DAY)
-    if len(run_id) < len(days):
-        days = days[np.isin(campaign.runs.run_id, run_id)]
-    return np.where(np.isfinite(days), days, 0.0 if part.day is None else part.day)
 
 
 def _sums_given_up(part: Part, why: str) -> Kept:
@@ -159,10 +153,8 @@ class FleetView:
 
     def to_dict(self) -> dict[str, object]:
         """Return it as plain JSON values."""
-        outliers = []
-        for outlier in self.outliers:
-            stem, wheel, unit = outlier.quantity.split("_", 2)
-            outliers.append(plain(outlier) | {"wheel": wheel, "quantity": f"{stem}_{unit}"})
+        split = [(plain(outlier), *outlier.quantity.split("_", 2)) for outlier in self.outliers]
+        outliers = [one | {"wheel": wheel, "quantity": f"{stem}_{unit}"} for one, stem, wheel, unit in split]
         return plain_fields(self, outliers=outliers)
 
 

@@ -19,7 +19,7 @@ from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
 from calib.gap.decision.held_out import measure_closure
-from calib.gap.decision.kind import fails, kept_back_by_ends, open_questions, tells_more, with_left
+from calib.gap.decision.kind import fails, kept_back, open_questions, tells_more, with_left
 from calib.gap.decision.trials import most_square, trials
 from calib.gap.effects.effect import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
@@ -30,11 +30,12 @@ from calib.gap.effects.steering import steering_blunder
 from calib.gap.inference.fit import Fitted, recalibrate, squares_by_unit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
-from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult
+from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.marginal_likelihood import FLOOR_DOF
 from calib.gap.inference.model_search import search
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.inference.recalibration import judge_recalibration
+from calib.gap.inference.thresholds import EVEN_PROBABILITY
 from calib.gap.localise.locate import locate
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.observations.from_campaign import check_distances, observations_of, with_known_loads
@@ -89,11 +90,15 @@ def diagnose_in_full(
         _check_copied(situation.campaign, predict(found))
     judge = partial(_judged, given, (seed, model_name, candidates, journeys), progress)
     diagnosis = judge(sought, situation)
-    if own and not found.windowed and all(cause.probability < EVEN_PROBABILITY for cause in diagnosis.causes):
+    unsure = all(cause.probability < EVEN_PROBABILITY for cause in diagnosis.causes)
+    if own and not found.windowed and (unsure or diagnosis.recommended):
         along = replace(sought, into_windows=True)
         windows = replace(along.situation(given), omitted=situation.omitted)
-        if windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):
-            diagnosis = kept_back_by_ends(by_windows, diagnosis)
+        nominal = predict(windows.observations)
+        if windows.observations.windowed and diagnosis.recommended:
+            diagnosis = kept_back(diagnosis, nominal, estimate_noise(nominal, residuals(nominal, nominal)))
+        elif windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):
+            diagnosis = kept_back(by_windows, diagnosis.arrays.nominal, diagnosis.arrays.noise)
     notes = (f"copies of other runs, which count once: {listed(copied)}",) * bool(copied) + diagnosis.notes
     diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence}{unloaded}", notes=notes)
     if not plan or not diagnosis.groups or (evidence := diagnosis.evidence) is None:
@@ -119,6 +124,7 @@ def _judged(
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not sought.applied else None
     nominal = predict(observations)
     effects = library(observations, exclude=sought.exclude, declared=declared) if candidates is None else [*candidates]
+    offered = {effect.id for effect in effects}
     effects, noise, base, searched = _searched(nominal, effects, progress)
     if refined := _refined(situation, searched.fitted):
         again = sought.corrected(given, refined, situation.as_counted)
@@ -152,14 +158,14 @@ def _judged(
         journeys=None if journeys is None else observations_of(joined(campaign, journeys), observations.model),
     )
     recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
-    return replace(with_left(decide(evidence)), undetectable=undetectable(recalibrated, effects, searched.forms))
+    diagnosis = replace(with_left(decide(evidence)), undetectable=undetectable(recalibrated, effects, searched.forms))
+    struck = ", ".join(sorted(offered - evidence.effects.keys()))
+    said = f"{struck}: not confirmed on routes held out, and not among the causes"
+    return replace(diagnosis, notes=(*diagnosis.notes, said)) if struck else diagnosis
 
 
-def _holds(assumed: Collection[str], nominal: Path, noise: Noise, searched: SearchResult) -> bool:
+def _holds(nominal: Path, noise: Noise, searched: SearchResult) -> bool:
     best, gap = searched.fitted, residuals(nominal, nominal)
-    for form, theta, _ in best.each():
-        if form.effect in assumed and np.linalg.norm(theta / [each.largest for each in form.parameters]) > 1.0:
-            return False
     tried = trials(HeldOutFit(best, nominal, noise, searched.weighting), gap)
     routes = [trial for trial in tried if trial.left_out == "kind"]
     gained = sum(trial.before_square - trial.after_square for trial in routes)
@@ -349,6 +355,6 @@ def _searched(
         noise, base = again, recalibrate(nominal, again, base)
         searched = search(nominal, noise, base, effects, start=searched, passed=passed)
     assumed = {each.id for each in effects if each.id in searched.effects and each.assumption(nominal.s)}
-    if assumed and not _holds(assumed, nominal, noise, searched):
+    if assumed and not _holds(nominal, noise, searched):
         return _searched(nominal, [each for each in effects if each.id not in assumed], progress)
     return [*effects], noise, base, searched

@@ -160,7 +160,7 @@ def _near_nominal(campaign: Campaign, drive: drives.Drive, values: FloatArray, m
 
 
 def _tried(
-    campaign: Campaign, recording: Recording, drive: drives.Drive, divide: Divide, sensor: tuple[str, ...] = PLACE
+    campaign: Campaign, recording: Recording, drive: drives.Drive, divide: Divide, sensor: tuple[str, ...]
 ) -> Trial:
     scales = drives.first_scales(campaign.reference)
     rounds = (TRIAL_ROUNDS, TRIAL_NOISE_ROUNDS, TRIAL_STEADY)
@@ -169,7 +169,8 @@ def _tried(
         with np.errstate(all="ignore"):
             solution = solve(model, parameters, parameters.nominal, scales, *rounds)
             values, residuals = solution.values, solution.prediction.residuals
-            share = _residual_share(model, values, residuals)
+            # without a few outliers
+            share = _trimmed(np.square(residuals / _sizes(model, values)).sum(axis=1))
     except (CalibError, np.linalg.LinAlgError, ValueError):
         return Trial(np.inf, False, 0.0)
     measured = model.segments.measured
@@ -189,17 +190,8 @@ LEAST_TURN_RAD: Final = 0.2
 REWEIGHTED: Final = 6
 
 
-def _residual_share(model: Model, values: FloatArray, residuals: FloatArray) -> float:
-    """Return the rms of residuals, shape (n, 3), as a share of distance and rotation, without a few outliers."""
-    return _trimmed(np.square(residuals / _sizes(model, values)).sum(axis=1))
-
-
 def _rough_fit(model: Model, parameters: drives.Parameters, most: float) -> tuple[FloatArray, float]:
-    """Return values, shape (n_parameters,), and the share that they leave to first order.
-
-    Turns are fitted first: they are nearly linear in all parameters. The search ends at the
-    nominal values where a step leaves more than a share `most`.
-    """
+    # turns first, nearly linear in all parameters; nominal values where a step leaves more than a share `most`
     values, free, spread = parameters.nominal, parameters.free, parameters.prior_std[parameters.free]
     sizes = _sizes(model, values)
     for turns in (True, True, False):

@@ -108,13 +108,9 @@ def sense(segments: "Segments", turn_rad: FloatArray, rolled: FloatArray, far: f
     return float(np.vdot(told, measured).real / max(float(np.sum(np.abs(told) * np.abs(measured))), 1e-12))
 
 
-def _clear(dof: int) -> float:
+def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(None)) -> FloatArray | None:
     from scipy.special import ndtr, stdtrit
 
-    return float(stdtrit(dof, ndtr(CLEAR)))
-
-
-def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(None)) -> FloatArray | None:
     normal, dof = turned @ turned.T, len(heading) - len(turned)
     if dof < 2 or np.linalg.cond(normal) > 1e10:
         return None
@@ -125,7 +121,7 @@ def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(Non
         spread = 1.483 * float(np.median(np.abs(residuals))) * float(np.sqrt(len(heading) / dof)) + 1e-9
         weights = 1.0 / (1.0 + np.square(residuals / (3.0 * spread)))
     std = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
-    return np.asarray(slope) if np.all(np.abs(slope[told]) > _clear(dof) * std[told]) else None
+    return np.asarray(slope) if np.all(np.abs(slope[told]) > stdtrit(dof, ndtr(CLEAR)) * std[told]) else None
 
 
 def front_faults(recording: "Recording", segments: "Segments", radius_m: float, *, by_shaft: bool = False) -> Corrected:
@@ -195,8 +191,8 @@ def straight_reading_rad(
 ) -> float:
     """Return the steering angle read straight ahead; 0 where unknown or near 0.
 
-    A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``. Of c and its opposite, which counters
-    of the other sign make alike, that nearer to most readings is taken.
+    A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``. Of c and its opposite that nearer to
+    most readings is taken.
 
     Parameters
     ----------

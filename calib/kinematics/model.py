@@ -98,9 +98,8 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
     `blocks`: into about how many all runs together are cut; a run is one at least. Raises RefusedError where the
     reference follows the vehicle nowhere.
 
-    Shorter windows overlap by half; none reaches over the end of its block. Of positions alone every window begins
-    where its run does, with heading zero; in a map its direction is that of the chord about its start, where that is
-    not short.
+    Shorter windows overlap by half. Of positions alone every window begins where its run does, with heading zero; in a
+    map its direction is that of the chord about its start, where that is not short.
     """
     travel = recording.travel_rad
     ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
@@ -230,11 +229,8 @@ class Model:
 def _at_times(
     path: drives.Path, recording: Recording, segments: Segments, delay_s: float
 ) -> tuple[FloatArray, FloatArray, list[IntArray]]:
-    """Return poses `delay_s` before both ends and chords, their derivatives, and the samples' new numbers.
-
-    What the reference stamps t was true at t - delay. Before a run's first count the vehicle moved as after it where a
-    late reference saw it move.
-    """
+    # what the reference stamps t was true at t - delay; before a run's first count the vehicle moved as after it, where
+    # a late reference saw it move
     ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
     used, inverse = np.unique(ends, return_inverse=True)
     run = recording.run[used]
@@ -261,10 +257,7 @@ def _at_times(
 
 
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
-    """Return the weights of four samples in a cubic between the inner two, shape (4, n) as `t_s`.
-
-    A chord would cut curves and lag behind a vehicle that speeds up.
-    """
+    # weights of a cubic between the inner two samples: a chord would cut curves and lag behind a vehicle that speeds up
     before, span, after = np.diff(t_s, axis=0)
     span = np.where(span > 0.0, span, np.inf)
     share = (wanted_s - t_s[1]) / span

@@ -216,11 +216,8 @@ def planned(model: Model, parameters: Parameters, values: FloatArray, scales: Fl
 def _nominal(
     parameters: Parameters, values: FloatArray, share: float = 1.0, dof: float = DEGREES
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return by how many spreads nominal values are off in the rows that pull, the rows' weights, and their loss.
-
-    The mean radius, the last row, may be far off: robust with `dof`, and at first of no more weight than residuals
-    have: `share`.
-    """
+    # by how many spreads they are off in the rows that pull, weights and loss. The mean radius, the last row, may be
+    # far off: robust with `dof`, and at first of no more weight than residuals have: `share`
     off = parameters.pull @ ((parameters.nominal - values) / parameters.prior_std)[parameters.free]
     weights, losses = np.ones(len(off)), 0.5 * np.square(off)
     weights[-1:] = share * (dof + 1.0) / (dof + 2.0 * losses[-1:])
@@ -273,11 +270,7 @@ def _weighted(problem: _Linear, jacobian: FloatArray, residuals: FloatArray, wei
 
 
 def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, stated: FloatArray, steady: float) -> FloatArray:
-    """Return better variances, by steps that do not lower the likelihood (Zhou et al. 2019).
-
-    `kernel`: lower triangles of the covariance of each displacement by each component of unit size, shape (4, 6, n);
-    `scales`, `stated`: variances now, and by the settings, shape (4,); `steady`: see `solve`.
-    """
+    # by steps that do not lower the likelihood (Zhou et al. 2019); kernel: lower triangles, (4, 6, n)
     flat = kernel.reshape(len(kernel), -1)
     step = np.zeros(problem.jacobian.shape[2])
     for _ in range(INNER):

@@ -76,8 +76,8 @@ def level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[
     `powers`, `squares` (shape (n_cosines,)): squared amplitudes and frequencies; `dof`: degrees of freedom of the
     amplitudes together; fewer than there are of them where blocks are unequal.
 
-    For each steepness the level has a scaled inverse chi squared distribution, weighted by the likelihood. The mixture
-    is met by the one such distribution whose logarithm has the same mean and variance.
+    For each steepness the level has a scaled inverse chi squared distribution, weighted by the likelihood; the mixture
+    is met by that of the same mean and variance of the logarithm.
     """
     from scipy.special import digamma, polygamma
 
@@ -364,8 +364,9 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
         best = sandwich(solution, free, segments.run, "run", power=OF_RUNS)
     else:
         best = sandwich_along(solution, free, block, own_directions(parameters.free_names, solution.values[free]))
-    alone = best.by
-    for name, labels in (("session", recording.session), ("route", _routes(recording))):
+    alone, turn = best.by, recording.end_pose[:, 2]
+    routes = np.char.add(recording.kind, np.select([turn > 1.0, turn < -1.0], [" ccw", " cw"], ""))
+    for name, labels in (("session", recording.session), ("route", routes)):
         group = np.unique(labels, return_inverse=True)[1][run]
         apart = name == "session" and left_within(solution, free, segments, recording.session)[0] < np.inf
         if len(np.unique(group)) >= FEWEST and (apart or _alike(scores, group) > ALIKE):
@@ -383,11 +384,6 @@ def _width(uncertainty: Uncertainty) -> float:
     from scipy.special import stdtrit
 
     return float(np.mean(np.log(uncertainty.std * stdtrit(uncertainty.dof, 0.975))))
-
-
-def _routes(recording: Recording) -> StrArray:
-    turn = recording.end_pose[:, 2]
-    return np.char.add(recording.kind, np.select([turn > 1.0, turn < -1.0], [" ccw", " cw"], ""))
 
 
 def _alike(scores: FloatArray, group: IntArray) -> float:

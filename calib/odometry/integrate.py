@@ -273,10 +273,10 @@ def integrate(
         A step is an arc; or a straight line at the heading in its middle, at its beginning, or at its end (Eq. 7 as
         printed).
     out : Poses, optional
-        Contiguous arrays of the travel's shape to write to; new memory costs as much as the arithmetic.
+        Contiguous arrays of the travel's shape to write to.
     compiled : bool, optional
-        Whether machine code (extra ``fast``) draws exact arcs, the same to 1e-9 m; None: where it is installed, from
-        `MANY_STEPS` on. Its first call costs a second.
+        Whether machine code (extra ``fast``) draws exact arcs, the same to 1e-9 m; None: where installed, from
+        `MANY_STEPS` on.
     """
     flat = _laid_flat(travel_left_m, travel_right_m, track_m, offsets, start)
     n = len(flat.left)

@@ -208,7 +208,12 @@ def law_path(
         dofs = dof[np.argmax(variance, axis=0), range(variance.shape[1])]
         errors = posing.pose_errors(poses, reference)
         driven.append(Driven(poses, errors, systematic, random, std, widths, variance.sum(axis=0), dofs))
-    interval = None if rng is None else _ratio_interval(driven[0], driven[1], draws, rng)
+    interval = None
+    if rng is not None:
+        more = np.stack([d / rng.chisquare(d, draws) for d in driven[1].dof]) - 1.0
+        square = [float(drive.rms_m[-1]) ** 2 + drive.by_wheel_m2 @ more for drive in driven]
+        low, high = np.quantile(np.sqrt(square[0] / square[1]), [0.025, 0.975]).tolist()
+        interval = low, high
     return LawPath(loading, reference_N, distance, reference, driven[0], driven[1], interval)
 
 
@@ -231,13 +236,6 @@ def _half_widths(by_wheel: tuple[FloatArray, FloatArray], std: dict[str, float])
         given = NORMAL_95**2 * (size**2 - variance.sum())
         halves[name] = math.sqrt(max(half_width(np.sqrt(variance), dof.tolist()) ** 2 + given, 0.0))
     return halves
-
-
-def _ratio_interval(without: Driven, corrected: Driven, draws: int, rng: np.random.Generator) -> tuple[float, float]:
-    more = np.stack([d / rng.chisquare(d, draws) for d in corrected.dof]) - 1.0
-    square = [float(drive.rms_m[-1]) ** 2 + drive.by_wheel_m2 @ more for drive in (without, corrected)]
-    low, high = np.quantile(np.sqrt(square[0] / square[1]), [0.025, 0.975])
-    return float(low), float(high)
 
 
 def _frame(heading_rad: FloatArray) -> FloatArray:

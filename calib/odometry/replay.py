@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel
-from calib.campaign.wheels import ASIDE, STEERED, WHEEL_COLUMNS, odometry_source, on_one_axle, without_rear_wheels
+from calib.campaign.wheels import ASIDE, counted_source, logged_columns, on_one_axle, without_rear_wheels
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import Result, plain
 from calib.errors import RefusedError
@@ -173,11 +173,10 @@ def _driven(
 def _usable(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, dict[str, int], tuple[str, ...]]:
     campaign, notes = with_loads(_with_end_poses(campaign), law)
     runs, logs = campaign.runs, campaign.logs
-    source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
     posed = np.isfinite(np.stack([runs.number(c) for c in REFERENCE_POSE])).all(axis=0)
     loaded = np.isfinite(runs.number("load_left_N")) & np.isfinite(runs.number("load_right_N"))
     counted = logs.present.copy()
-    for name in (*WHEEL_COLUMNS[source], "t_s", *(["steer_rad"] if source in STEERED else [])):
+    for name in (*logged_columns(counted_source(campaign)), "t_s"):
         column = logs.columns.get(name, np.full(logs.offsets[-1], np.nan))
         gaps = np.concatenate(([0], np.cumsum(~np.isfinite(column))))
         counted &= (gaps[logs.offsets[1:]] == gaps[logs.offsets[:-1]]) & (name in logs.columns)

@@ -86,10 +86,6 @@ def _hidden(world: World, size: FloatArray, knobs: Knobs) -> None:
     world.enlarge(size * drawn[0, number], size * (0.7 * drawn[0, number] + 0.7 * drawn[1, number]))
 
 
-def _seeded(rng: np.random.Generator, _design: Design) -> dict[str, float]:
-    return {"seed": float(rng.integers(2**31))}
-
-
 @while_driving
 def _pull(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> None:
     wave = np.sin(2 * np.pi * _map_x_m(world, now) / knobs["wave_x_m"] + knobs["phase_rad"])
@@ -112,7 +108,7 @@ OUTSIDE = (
     Form("outside:load_by_temperature", "plain", 8e-4, "1", wheels.load_by_temperature, "loads temperatures"),
     Form("outside:one_speed", "plain", 1.5e-3, "1", _one_speed, "three_speeds", _middle_speed),
     Form("outside:left_only", "plain", 1e-2, "1", _left_only, "turns bends poses"),
-    Form("outside:hidden", "plain", 6e-4, "1", _hidden, "poses", _seeded),
+    Form("outside:hidden", "plain", 6e-4, "1", _hidden, "poses", lambda rng, _: {"seed": float(rng.integers(2**31))}),
     Form("outside:map_pull", "plain", 1.5e-3, "rad/m", _pull, "poses turns directions", _PULL_WAVES),
 )
 
@@ -132,10 +128,6 @@ def _lost(share: Callable[[FloatArray], FloatArray | float]) -> Act:
         now.added[4 if knobs["right"] else 3] += size * share(now.v_mps)
 
     return act
-
-
-def _beyond_threshold(v_mps: FloatArray) -> FloatArray:
-    return np.asarray(np.maximum(v_mps - 0.3, 0.0) / 0.2)
 
 
 def _blunder(kind: str) -> Act:
@@ -178,7 +170,15 @@ INSTRUMENTS = (
     Form("reference_yaw", "plain", 4e-3, "rad", added("ref_yaw_rad"), "poses turns"),
     Form("reference_latency", "plain", 0.05, "s", added("latency_s"), "flying speeds poses"),
     Form("lost_counts", "squared", 1e-3, "1", _lost(lambda v: (v / 0.5) ** 2), "speeds poses", either_side),
-    Form("lost_counts", "threshold", 1e-3, "1", _lost(_beyond_threshold), "speeds poses", either_side),
+    Form(
+        "lost_counts",
+        "threshold",
+        1e-3,
+        "1",
+        _lost(lambda v: np.maximum(v - 0.3, 0.0) / 0.2),
+        "speeds poses",
+        either_side,
+    ),
     # exactly a larger radius of that wheel
     Form("lost_counts", "constant", 2e-3, "1", _lost(lambda _v: 1.0), "poses", either_side),
     *(

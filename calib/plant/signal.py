@@ -57,17 +57,9 @@ def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = F
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Levers:
-    #: shape (n_steps, n_runs, 6): change of the outputs by a metre of path error, and a radian of heading error
-    path: FloatArray
-    turn: FloatArray
-    #: shape (n_steps, n_runs)
-    way: FloatArray
-    turned: FloatArray
-
-
-def _levers(record: Record) -> _Levers:
+def _levers(record: Record) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    # change of the outputs by a metre of path error and by a radian of heading error, (n_steps, n_runs, 6); way and
+    # turn of each step, (n_steps, n_runs)
     x, y, theta, s = record.odo
     way, turned = np.diff(s, axis=0), np.diff(theta, axis=0)
     middle = 0.5 * (theta[1:] + theta[:-1])
@@ -77,17 +69,17 @@ def _levers(record: Record) -> _Levers:
     cos, sin = np.cos(middle), np.sin(middle)
     path = np.stack([cos, cos, sin, zero, one, zero], axis=-1)
     turn = np.stack([across, across, along, one, zero, one], axis=-1)
-    return _Levers(path=path, turn=turn, way=way, turned=turned)
+    return path, turn, way, turned
 
 
 def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
     """Return the covariance of `outputs`, shape (n_runs, 6, 6), by linear propagation."""
-    levers, track = _levers(record), world.model.track_m
-    variance = noise.texture_m**2 * np.abs(levers.way)
-    total = np.einsum("kr,krc,krd->rcd", 0.5 * variance, levers.path, levers.path)
-    total += np.einsum("kr,krc,krd->rcd", 2 / track**2 * variance, levers.turn, levers.turn)
-    common = np.einsum("kr,krc->rc", levers.way, levers.path) + np.einsum("kr,krc->rc", levers.turned, levers.turn)
-    split = np.einsum("kr,krc->rc", levers.way / track, levers.turn)
+    (path, turn, way, turned), track = _levers(record), world.model.track_m
+    variance = noise.texture_m**2 * np.abs(way)
+    total = np.einsum("kr,krc,krd->rcd", 0.5 * variance, path, path)
+    total += np.einsum("kr,krc,krd->rcd", 2 / track**2 * variance, turn, turn)
+    common = np.einsum("kr,krc->rc", way, path) + np.einsum("kr,krc->rc", turned, turn)
+    split = np.einsum("kr,krc->rc", way / track, turn)
     total += noise.common**2 * common[:, :, None] * common[:, None, :]
     total += noise.differential**2 * split[:, :, None] * split[:, None, :]
     end_x, end_y, end_theta, length = record.last(record.odo)
@@ -110,13 +102,13 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
 
 def recalibration(world: World, record: Record) -> FloatArray:
     """Return what changes of the two radii and of the track do to `outputs`, shape (n_runs, 6, 3)."""
-    levers, track = _levers(record), world.model.track_m
-    left, right = levers.way - 0.5 * track * levers.turned, levers.way + 0.5 * track * levers.turned
+    (path, turn, way, turned), track = _levers(record), world.model.track_m
+    left, right = way - 0.5 * track * turned, way + 0.5 * track * turned
 
-    def to(path: FloatArray, turn: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("kr,krc->rc", path, levers.path) + np.einsum("kr,krc->rc", turn, levers.turn))
+    def to(further: FloatArray, more: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("kr,krc->rc", further, path) + np.einsum("kr,krc->rc", more, turn))
 
-    parts = (to(0.5 * left, -left / track), to(0.5 * right, right / track), to(0 * left, -levers.turned))
+    parts = (to(0.5 * left, -left / track), to(0.5 * right, right / track), to(0 * left, -turned))
     return np.stack(parts, axis=-1)
 
 

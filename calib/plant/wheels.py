@@ -19,10 +19,6 @@ from calib.plant.world import (
 from calib.types import FloatArray
 
 
-def _unequal(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    world.enlarge(-0.5 * size, 0.5 * size)
-
-
 def _load_linear(world: World, size: FloatArray, knobs: Knobs) -> None:
     left_N, right_N = world.load_left_N - REFERENCE_LOAD_N, world.load_right_N - REFERENCE_LOAD_N
     world.enlarge(size * left_N, size * knobs["right_ratio"] * right_N)
@@ -155,7 +151,7 @@ _POWERS = {name: _with_exponent(_WHEEL_SLOPES, p) for name, p in (("hertz", 2 / 
 
 FORMS = (
     Form("radius_scale", "plain", 3e-3, "1", scaled("left", "right")),
-    Form("unequal_radii", "plain", 1.5e-3, "1", _unequal, "poses"),
+    Form("unequal_radii", "plain", 1.5e-3, "1", lambda world, size, _: world.enlarge(-0.5 * size, 0.5 * size), "poses"),
     Form("track_width", "plain", 1e-2, "1", scaled("track"), "turns"),
     Form("load_radius", "plain", 8e-6, "1/N", _load_linear, "loads", _WHEEL_SLOPES),
     Form("load_radius", "power", 8e-6, "1/N", _load_power, "loads", _MILD_POWER),
@@ -182,14 +178,10 @@ def _lever(world: World) -> FloatArray:
     return world.total_weight_N * vehicle.cog_z_m / (9.81 * vehicle.track_m)
 
 
-def _transfer(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    lever = _lever(world)
-
-    def during(now: Moment) -> None:
-        moved = size * lever * now.v_mps**2 * now.curvature_per_m
-        now.roll_more(-moved, moved)
-
-    world.during.append(during)
+@while_driving
+def _transfer(now: Moment, world: World, size: FloatArray, _knobs: Knobs) -> None:
+    moved = size * _lever(world) * now.v_mps**2 * now.curvature_per_m
+    now.roll_more(-moved, moved)
 
 
 def _transfer_roll(world: World, size: FloatArray, _knobs: Knobs) -> None:
@@ -211,8 +203,7 @@ def _loaded_track(world: World, size: FloatArray, _knobs: Knobs) -> None:
 
 
 def _loaded_track_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    low, high = REFERENCE_LOAD_N**0.85, 1100.0**0.85
-    world.track = world.track * (1 + size * 800 * (world.mean_load_N**0.85 - low) / (high - low))
+    world.track = world.track * (1 + size * _power(world.mean_load_N, 0.85))
 
 
 @while_driving
@@ -220,14 +211,11 @@ def _scrub(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
     now.track += size * np.abs(now.curvature_per_m)
 
 
-def _scrub_torque(world: World, size: FloatArray, _knobs: Knobs) -> None:
+@while_driving
+def _scrub_torque(now: Moment, world: World, size: FloatArray, _knobs: Knobs) -> None:
     # the torque that turns the contact patches saturates
     load = (world.mean_load_N / float(np.mean(world.mean_load_N))) ** 0.15
-
-    def during(now: Moment) -> None:
-        now.track += size * load * 1.6 * np.tanh(np.abs(now.curvature_per_m) / 1.6)
-
-    world.during.append(during)
+    now.track += size * load * 1.6 * np.tanh(np.abs(now.curvature_per_m) / 1.6)
 
 
 @while_driving
@@ -235,10 +223,9 @@ def _side_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> N
     now.lateral_mps -= size * now.v_mps**3 * now.curvature_per_m
 
 
-@while_driving
-def _skid(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # `size` metres a stop from 0.5 m/s: braking at a takes v^2/2a
-    now.roll_more(size * 2.0 * np.maximum(-now.acceleration_mps2, 0.0) / 0.25)
+def _braked(now: Moment) -> FloatArray:
+    # its size in metres a stop from 0.5 m/s: braking at a takes v^2/2a
+    return np.asarray(8.0 * np.maximum(-now.acceleration_mps2, 0.0))
 
 
 def _drag(world: World, size: FloatArray, knobs: Knobs) -> None:
@@ -256,14 +243,11 @@ def _drive_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> 
     now.drive += size * (now.acceleration_mps2 + 0.02 * 9.81 * np.sign(now.v_mps)) / 0.3
 
 
-def _drive_slip_soft(world: World, size: FloatArray, _knobs: Knobs) -> None:
+@while_driving
+def _drive_slip_soft(now: Moment, world: World, size: FloatArray, _knobs: Knobs) -> None:
     weight = world.total_weight_N / float(np.mean(world.total_weight_N))
-
-    def during(now: Moment) -> None:
-        force = (now.acceleration_mps2 + 0.02 * 9.81 * np.sign(now.v_mps)) / 0.3
-        now.drive += size * weight**0.5 * force * (1 + 0.2 * np.abs(force))
-
-    world.during.append(during)
+    force = (now.acceleration_mps2 + 0.02 * 9.81 * np.sign(now.v_mps)) / 0.3
+    now.drive += size * weight**0.5 * force * (1 + 0.2 * np.abs(force))
 
 
 MOVING = (
@@ -276,7 +260,7 @@ MOVING = (
     Form("curve_scrub", "plain", 2e-2, "m", _scrub, "bends poses"),
     Form("curve_scrub", "torque", 2e-2, "m", _scrub_torque, "bends poses"),
     Form("side_slip", "plain", 1e-2, "s2/m", _side_slip, "turns speeds poses"),
-    Form("braking_skid", "plain", 8e-4, "m", _skid, "stops speeds"),
+    Form("braking_skid", "plain", 8e-4, "m", rolling(_braked), "stops speeds"),
     Form("rear_drag", "plain", 5e-4, "1", _drag, "directions poses", either_side),
     Form("travel_direction", "plain", 1e-3, "1", _direction, "directions"),
     Form("drive_slip", "plain", 5e-3, "1", _drive_slip, "front stops"),

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import chdtri, ndtr, stdtridf, stdtrit
+from scipy.special import chdtri, ndtr, stdtr, stdtridf, stdtrit
 
 from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats
@@ -105,7 +105,6 @@ class WheelLaw:
 def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
     """Return the 97.5 % quantile of one Student variate, or a sum of two independent ones, each times its scale."""
     from scipy.optimize import brentq
-    from scipy.special import stdtr
 
     if len(scales) == 1:
         return float(scales[0] * stdtrit(dof[0], UPPER))

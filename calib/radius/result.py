@@ -15,7 +15,7 @@ from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import settle, write_files
 from calib.radius.effective import Component, EffectiveRadii, UnusedRun
 from calib.radius.law import LARGEST_DOF, RadiusLaw, half_width
-from calib.radius.regression import RUN_ARRAYS, WheelFit, from_plain, paired_law
+from calib.radius.regression import RUN_ARRAYS, Check, WheelFit, from_plain, paired_law
 from calib.radius.sessions import groups_of
 from calib.types import Row
 from calib.vehicle import Vehicle
@@ -85,10 +85,14 @@ class Fit(Result):
         return {"left": self.left, "right": self.right}
 
     @property
-    def failed(self) -> tuple[str, ...]:
+    def failed_checks(self) -> list[tuple[str, Check]]:
         """The checks that failed, each with its wheel."""
-        checks = ((name, check) for name, wheel in self.wheels.items() for check in wheel.checks)
-        return tuple(f"{name} wheel, {check.name.replace('_', ' ')}" for name, check in checks if not check.passed)
+        return [(name, check) for name, wheel in self.wheels.items() for check in wheel.checks if not check.passed]
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(f"{name} wheel, {check.name.replace('_', ' ')}" for name, check in self.failed_checks)
 
     @property
     def passed(self) -> bool:
@@ -103,8 +107,7 @@ class Fit(Result):
     @property
     def implausible(self) -> tuple[str, ...]:
         """Findings beyond the bounds of a vehicle; the user has to accept such a law."""
-        failed = [check for wheel in self.wheels.values() for check in wheel.checks if not check.passed]
-        return tuple(dict.fromkeys(check.sentence for check in failed if check.name == PLAUSIBLE))
+        return tuple(dict.fromkeys(check.sentence for _, check in self.failed_checks if check.name == PLAUSIBLE))
 
     @property
     def table(self) -> "DataFrame":

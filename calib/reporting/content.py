@@ -271,14 +271,11 @@ def place_of(name: str, into: Path | None, *, force: bool = False) -> Path:
 
     Raises BadInputError where the file exists and `force` is False, or `into` is a file that is no PDF.
     """
-    if into is None:
-        path = DEFAULT_FOLDER / file_name(name)
-    elif into.suffix.lower() == ".pdf" and not into.is_dir():
-        path = into
-    elif into.is_file():
+    place = into or DEFAULT_FOLDER
+    single = place.suffix.lower() == ".pdf" and not place.is_dir()
+    if into and into.is_file() and not single:
         raise BadInputError(f"into: found the file {into}; expected a folder or a name ending in .pdf; choose another")
-    else:
-        path = into / file_name(name)
+    path = place if single else place / file_name(name)
     if path.is_dir():
         raise BadInputError(f"into: found the folder {path}; expected a place for a file; choose another")
     refuse_existing([path], force=force)

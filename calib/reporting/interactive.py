@@ -78,7 +78,10 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
     by_covariate, tools = _covariate_panel(gap, source, after, band)
     legend = _legend(gap)
     figures = [by_covariate, after]
-    tools = [_session_choice(gap, source), _colour_choice(gap, source, legend), *tools]
+    columns = {"session": "session", "kind": "kind", "run": "run_id"}
+    options = [f"{label} {name}" for label, key in columns.items() for name in natural(gap.labels[key])]
+    choice = MultiChoice(name="choice", title="highlight", options=options, value=[], width=300)
+    tools = [_changed(choice, "highlight", source=source), _colour_choice(gap, source, legend), *tools]
     places = ALONG.items()
     shown = [name for name, place in places if any(np.isfinite(path[:, place]).any() for path in along)]
     runs = [_along_panel(source, name) for name in shown]
@@ -88,8 +91,8 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
         tools += [slider, _moment_slider(source)]
     if runs:
         axes = list(RUN_AXES)
-        choice = Select(name="axis", title="along the run against", value=axes[0], options=axes, width=180)
-        tools.append(_changed(choice, "axis", source=source, axes=[plot.xaxis[0] for plot in runs]))
+        along_by = Select(name="axis", title="along the run against", value=axes[0], options=axes, width=180)
+        tools.append(_changed(along_by, "axis", source=source, axes=[plot.xaxis[0] for plot in runs]))
     figures += runs
     if verdict.causes:
         figures.append(_cause_panel(verdict))
@@ -231,7 +234,7 @@ def _with_aliases(effect: str, verdict: Diagnosis) -> str:
 
 
 def _legend(gap: GapArrays) -> Model:
-    names = labels_of(gap)["kind"]
+    names = natural(gap.labels["kind"])
     marks = [
         f'<span style="white-space:nowrap"><span style="color:{COLOURS[number % len(COLOURS)]}">&#9679;</span> '
         f"{escape(name) or '(none)'}</span>"
@@ -247,13 +250,6 @@ def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> M
     choice = Select(name="colour", title="colour by", value=LABELS[0], options=list(columns.items()), width=160)
     scales = {"palette": COLOURS, "ramp": RAMP, "titles": columns, "most": LEGEND_NAMES}
     return _changed(choice, "colour", source=source, legend=legend, **scales)
-
-
-def _session_choice(gap: GapArrays, source: ColumnDataSource) -> Model:
-    named = labels_of(gap)
-    options = [f"{label} {name}" for label in ("session", "kind", "run") for name in named[label]]
-    choice = MultiChoice(name="choice", title="highlight", options=options, value=[], width=300)
-    return _changed(choice, "highlight", source=source)
 
 
 #: points of all paths together, of one path, and of a gap along a run at most: more make the page heavy
@@ -355,8 +351,3 @@ def _noise_limits(gap: GapArrays) -> dict[str, float]:
 
 def _covariate_titles(gap: GapArrays) -> dict[str, str]:
     return {"order driven": "order driven"} | {name: with_unit(name) for name in gap.covariates}
-
-
-def labels_of(gap: GapArrays) -> Mapping[str, list[str]]:
-    """Return the distinct kinds, sessions and runs, sorted."""
-    return {label: natural(gap.labels["run_id" if label == "run" else label]) for label in LABELS}

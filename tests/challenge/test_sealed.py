@@ -16,14 +16,17 @@ from calib.campaign.read import read_campaign
 from calib.challenge.cases import Truth
 from calib.challenge.run import run
 from calib.challenge.score import open_truth, score
-from calib.challenge.seal import GROUPS, HASH, PUBLIC, SEEDS, Seeds, make, read_seeds, recipes, truth_path
+from calib.challenge.seal import GROUPS, HASH, PUBLIC, Seeds, make, read_seeds, recipes, truth_path
 from calib.documents import plain
 from calib.errors import BadFileError, BadInputError
 from calib.plant.effects import effects
 from calib.reporting.figures.challenge import board_figure, confusion_figure, save
 
 ROOT = Path(__file__).resolve().parents[2]
-FULL = {"development": SEEDS / "development.toml", "scoring": Path(__file__).parent / "seeds" / "scoring.toml"}
+FULL = {
+    "development": ROOT / "calib" / "challenge" / "seeds" / "development.toml",
+    "scoring": Path(__file__).parent / "seeds" / "scoring.toml",
+}
 SMALL = """
 format = "calib-challenge-seeds/1"
 purpose = "test"

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from calib.cli.export import _next_step
+from calib.cli.fit import _next_step
 from calib.cli.main import run
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.plan.planned_runs import PlannedRun

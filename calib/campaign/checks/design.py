@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
 from calib.campaign.wheels import logged_columns, odometry_source, on_one_axle
-from calib.types import FloatArray, IntArray, StrArray
+from calib.types import FloatArray, IntArray, StrArray, grouped
 
 SIDES: Final = ("left", "right")
 #: at least so many runs make a finding one of the column
@@ -184,12 +184,9 @@ def load_label(campaign: Campaign) -> StrArray:
 
 
 def groups_of(labels: StrArray) -> Iterator[tuple[str, IntArray]]:
-    """Yield each label and the numbers of its runs."""
-    names, group = np.unique(labels, return_inverse=True)
-    order = np.argsort(group, kind="stable")
-    # of no labels np.split makes one part
-    parts = np.split(order, np.searchsorted(group[order], np.arange(1, len(names))))[: len(names)]
-    yield from zip(names, parts, strict=True)
+    """Return each label and the numbers of its runs."""
+    runs = grouped((label, run) for run, label in enumerate(labels.tolist()))
+    return ((name, np.array(runs[name])) for name in sorted(runs))
 
 
 def listed(names: StrArray | list[str], limit: int = 6) -> str:

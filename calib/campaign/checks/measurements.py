@@ -12,7 +12,7 @@ from calib.campaign.checks.settings import MOST_ODD
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
 from calib.campaign.settings import WHEEL_LOADS
-from calib.campaign.wheels import logged_columns, odometry_source, without_rear_wheels
+from calib.campaign.wheels import counted_source, logged_columns
 from calib.types import GRAVITY_MPS2, BoolArray, FloatArray
 from calib.vehicle import Vehicle
 
@@ -20,7 +20,7 @@ from calib.vehicle import Vehicle
 def missing_values(campaign: Campaign) -> Iterator[Note]:
     """Say which runs lack counts, and which lack both a distance and an end pose."""
     runs = campaign.runs
-    source = odometry_source(campaign) if without_rear_wheels(campaign) else "rear"
+    source = counted_source(campaign)
     needs_logs = source != "rear" or "ref_x_m" in campaign.logs.columns
     logged = [campaign.logs.of(run) if needs_logs else {} for run in range(len(runs))]
     for name in logged_columns(source):

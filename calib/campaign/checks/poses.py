@@ -11,7 +11,7 @@ from calib.campaign.checks.design import LEAST_RUNS, column_note, implausible_co
 from calib.campaign.checks.measurements import off
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
 from calib.campaign.wheels import ASIDE
-from calib.types import BoolArray, FloatArray, IntArray, StrArray, few_digits
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, evenly, few_digits
 
 #: runs that must agree, and standard errors beyond which they do
 _LEAST_STRAIGHT_RUNS: Final = 8
@@ -104,7 +104,7 @@ def _bows(campaign: Campaign) -> _Bows:
     used = np.flatnonzero(_straight(campaign) & np.isfinite(theta) & (np.abs(theta) < 0.3) & (logs.lengths >= 20))
     if len(used) < _LEAST_STRAIGHT_RUNS or not {"counts_left", "counts_right"} <= set(logs.columns):
         used = used[:0]
-    used = used[np.linspace(0, len(used) - 1, min(len(used), _MOST_STRAIGHT_RUNS)).astype(np.int64)]
+    used = used[evenly(len(used), _MOST_STRAIGHT_RUNS)]
     sensor = campaign.reference
     # of the vehicle, from the pose of the sensor since its own start
     along, aside = runs.number("ref_x_m"), runs.number("ref_y_m")

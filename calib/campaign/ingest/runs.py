@@ -68,7 +68,7 @@ def with_lookups(
             plain = {"column": name, "sheet": "", "by": "", "unit": line.unit_for(target)}
             lines[target] = line.model_copy(update=plain)
         elif line.fill_down and line.column in columns:
-            columns[line.column] = _filled_down(columns[line.column])
+            columns[line.column] = object_array(list(accumulate([None, *columns[line.column]], _cell_above))[1:])
     session = lines["session"].column if "session" in lines else "session"
     if session in columns:
         _note_empty_sessions(columns[session], raw, str(path), border)
@@ -117,9 +117,8 @@ def _label(cell: Any) -> str:
     return "" if cell is None else " ".join(str(cell).split()).lower()
 
 
-def _filled_down(cells: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    with_none: list[Any] = [None, *cells]
-    return object_array(list(accumulate(with_none, lambda last, cell: cell if is_filled(cell) else last))[1:])
+def _cell_above(above: Any, cell: Any) -> Any:
+    return cell if is_filled(cell) else above
 
 
 def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, border: Border) -> None:

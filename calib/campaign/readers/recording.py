@@ -71,20 +71,19 @@ class Stream:
 
     def contents(self) -> StreamContents:
         """Return what the stream holds, and its clock's span, rate and gaps."""
-        given = (self.name, self.kind, len(self), self.clock, tuple(self.columns))
-        held = StreamContents(*given, behind_arrival_s=self.behind_arrival_s)
-        if self.time_ns is None or not len(self.time_ns):
-            return held
-        steps_s = np.diff(self.time_ns) / NS_PER_S
+        held = (self.name, self.kind, len(self), self.clock, tuple(self.columns))
+        times = np.zeros(0, dtype=np.int64) if self.time_ns is None else self.time_ns
+        steps_s = np.diff(times) / NS_PER_S
         usual_s = float(np.median(steps_s)) if len(steps_s) else 0.0
         gaps_s = steps_s[steps_s > GAP_STEPS * usual_s] if usual_s > 0 else steps_s[:0]
-        return replace(
-            held,
-            span_s=float(np.ptp(self.time_ns)) / NS_PER_S,
+        return StreamContents(
+            *held,
+            span_s=float(np.ptp(times)) / NS_PER_S if len(times) else 0.0,
             rate_Hz=1.0 / usual_s if usual_s > 0 else 0.0,
             n_gaps=len(gaps_s),
             longest_gap_s=float(gaps_s.max(initial=0.0)),
-            start_ns=int(self.time_ns.min()),
+            start_ns=int(times.min()) if len(times) else None,
+            behind_arrival_s=self.behind_arrival_s,
         )
 
 

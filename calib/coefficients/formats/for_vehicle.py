@@ -8,7 +8,6 @@ parameter file, which names the joints.
 import math
 import re
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations
@@ -111,10 +110,7 @@ def known_effects() -> set[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Effect:
-    name: str
-    form: str
-    settings: Mapping[str, float]
-    sizes: Mapping[str, float]
+    section: EffectSection
     #: reference load of the law in N
     reference: str
     #: number of its further column; -1 without one
@@ -122,24 +118,24 @@ class _Effect:
 
     @property
     def act(self) -> str:
-        return COVARIATE if self.column >= 0 else self.name
+        return COVARIATE if self.column >= 0 else self.section.effect
 
     @property
     def wheel(self) -> str:
-        return "left" if self.form.startswith("left") else "right"
+        return "left" if self.section.form.startswith("left") else "right"
 
     def has(self, size: str) -> bool:
-        return size in self.sizes
+        return size in self.section.parameters
 
     def __getitem__(self, size: str) -> str:
-        return c_number(self.sizes.get(size, 0.0))
+        return c_number(self.section.parameters[size].value if self.has(size) else 0.0)
 
     def setting(self, name: str, default: float) -> str:
-        return c_number(self.settings.get(name, float(default)))
+        return c_number(self.section.settings.get(name, float(default)))
 
     def off(self, value: str) -> str:
         """Return how far a number of the run lies from where the effect is zero."""
-        spread = c_number(self.settings.get("spread", 1.0) or 1.0)
+        spread = c_number(self.section.settings.get("spread", 1.0) or 1.0)
         return f"calib_effects_off({value}, {self.setting('centre', 0.0)}, {spread})"
 
 
@@ -157,9 +153,8 @@ def effects_header(file: CoefficientFile, _options: ExportOptions) -> tuple[Arti
     reference = c_number(file.wheels.left.reference_load.value)
     effects = []
     for section in acting:
-        sizes = {name: quantity.value for name, quantity in section.parameters.items()}
         at = covariates.index(section.effect.partition(":")[2]) if ":" in section.effect else -1
-        effects.append(_Effect(section.effect, section.form, section.settings, sizes, reference, at))
+        effects.append(_Effect(section, reference, at))
     values = {"acting": effects, "others": others, "accepted": formats.accepted_lines(file), "covariates": covariates}
     data = rendered("c_effects.h.j2", file=file, **values)
     notes = (f"not in the header: {', '.join(others)}",) if others else ()

@@ -288,14 +288,11 @@ def _further_wheels(model: ModelFile, set_ones: tuple[Wheel, Wheel], wheel: Find
 
 #: parameters of drive plugins and of ros2_control, and what they are of radii and track
 PLUGIN_KEYS: Final[dict[str, Callable[[NewWheels], float]]] = {
-    "wheel_radius": lambda new: 0.5 * (new.left_m + new.right_m),
-    "wheelRadius": lambda new: 0.5 * (new.left_m + new.right_m),
+    **dict.fromkeys(("wheel_radius", "wheelRadius"), lambda new: 0.5 * (new.left_m + new.right_m)),
     "left_wheel_radius": lambda new: new.left_m,
     "right_wheel_radius": lambda new: new.right_m,
-    "wheel_diameter": lambda new: new.left_m + new.right_m,
-    "wheelDiameter": lambda new: new.left_m + new.right_m,
-    "wheel_separation": lambda new: new.track_m,
-    "wheelSeparation": lambda new: new.track_m,
+    **dict.fromkeys(("wheel_diameter", "wheelDiameter"), lambda new: new.left_m + new.right_m),
+    **dict.fromkeys(("wheel_separation", "wheelSeparation"), lambda new: new.track_m),
 }
 
 

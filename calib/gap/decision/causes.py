@@ -9,27 +9,28 @@ import numpy as np
 
 from calib.gap.decision.constancy import SessionScatter, SizeDifference, beside_named_steps, session_scatter
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
-from calib.gap.decision.kind import CERTAIN_PROBABILITY, NEGLIGIBLE_SHARE, ON_FLOOR, SMALL_SHARE
-from calib.gap.decision.trials import most_square
+from calib.gap.decision.kind import NEGLIGIBLE_SHARE, ON_FLOOR
+from calib.gap.decision.trials import most_square, reach_of_noise
 from calib.gap.effects.effect import Form
 from calib.gap.effects.encoder import Blunder
 from calib.gap.effects.quantities import session_steps
 from calib.gap.effects.radii import DIRECTIONS, NAMES
 from calib.gap.effects.reference import TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, undetermined
-from calib.gap.inference.local_search import EVEN_PROBABILITY
-from calib.gap.inference.marginal_likelihood import Nuisance
+from calib.gap.inference.marginal_likelihood import FLOOR_DOF, Nuisance
+from calib.gap.inference.thresholds import (
+    CERTAIN_PROBABILITY,
+    EVEN_PROBABILITY,
+    FORM_ERROR,
+    PROBABILITY_CLASSES,
+    SMALL_SHARE,
+)
 from calib.gap.observations.arrays import Channel
 from calib.types import FloatArray, few_digits
 
-#: causes are ordered by these classes of probability, then by signal: finer differences are chance
-PROBABILITY_CLASSES: Final = (0.3, 0.6, 0.8)
 #: a cause below this signal and this share of a larger one's signal, whose form may err by so much of its size
-#: (`SAME_SIZE_SD`), cannot be told from that error; radii and track have no form that errs
+#: (`FORM_ERROR`), cannot be told from that error; radii and track have no form that errs
 WEAK_SIGNAL: Final = 10.0
-FORM_ERROR_SHARE: Final = 0.05
-#: standard deviations from zero of a mean residual that places the unexplained
-LOCATED_SD: Final = 4.0
 #: places and covariates named of it
 MOST_PLACES: Final = 3
 MOST_COVARIATES: Final = 2
@@ -98,7 +99,7 @@ def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[s
         # an error of the largest cause's law looks like a small cause
         doubtful = cause.share <= SMALL_SHARE * largest and not is_certain
         # what radii or track may be instead has a small signal beside them, and may have all of the gap
-        weak = cause.share <= SMALL_SHARE and cause.signal < min(WEAK_SIGNAL, FORM_ERROR_SHARE * strongest)
+        weak = cause.share <= SMALL_SHARE and cause.signal < min(WEAK_SIGNAL, FORM_ERROR * strongest)
         return cause.share < NEGLIGIBLE_SHARE * largest or doubtful or weak
 
     return tuple(cause.effect for cause in causes if too_small(cause))
@@ -267,7 +268,8 @@ def _places(evidence: Evidence) -> tuple[str, ...]:
                 scaled = residual[on, channel] / evidence.noise.floor[on, channel]
                 mean_sd = abs(float(scaled.mean() * np.sqrt(on.sum())))
                 means.append((mean_sd, f"kind {kind}, {channel.label}" if kind else channel.label))
-    places = [words for mean_sd, words in sorted(means, reverse=True)[:MOST_PLACES] if mean_sd > LOCATED_SD]
+    reach = reach_of_noise(evidence.noise.dof or FLOOR_DOF, len(means))
+    places = [words for mean_sd, words in sorted(means, reverse=True)[:MOST_PLACES] if mean_sd > reach]
     where = evidence.where.rest
     if where is not None:
         places += [line.name.replace("_", " ") for line in where.significant[:MOST_COVARIATES]]
@@ -286,6 +288,8 @@ class Finding:
     differing: Mapping[str, SizeDifference] = field(default_factory=dict)
     #: confounded effects of the named ones outside their families
     tied: Sequence[Sequence[str]] = ()
+    #: causes that no reading checks, and why
+    unchecked: Mapping[str, str] = field(default_factory=dict)
 
     def probability(self, cause: Cause) -> float:
         """Return the probability of a cause or an effect that it is confounded with."""

@@ -16,18 +16,13 @@ from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.inference.noise import Noise
-from calib.gap.inference.recalibration import PRIOR_SHIFT_ODDS, SUBSETS
+from calib.gap.inference.recalibration import MIN_EFFECT_SD, PRIOR_SHIFT_ODDS, SUBSETS
+from calib.gap.inference.thresholds import CONFIDENCE, LOG_EVIDENCE_WINDOW
 from calib.gap.observations.arrays import POSE
 from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of, sizes_on
 from calib.gap.predict import Path, predict
 from calib.types import FloatArray
 
-#: log evidence within which hypotheses are not separated: a factor of ten
-LOG_EVIDENCE_WINDOW: Final = 2.3
-#: prior standard deviation, in typical sizes, of named effects while aliases of one are sought
-OTHER_EFFECTS_SD: Final = 3.0
-#: the most probable sets hold so much together
-CREDIBLE: Final = 0.95
 #: off by the same share: radii and track, and what does the same without another measure of length
 SCALED: Final = (RadiusScale.id, TrackWidth.id, ReferenceScale.id)
 #: a radius or track is wrong so many times as often as one effect that looks like it
@@ -73,7 +68,7 @@ def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Dist
     fitted, system, off = evidence.fitted, evidence.system, evidence.calibration
     found = [_of_effect(evidence, number, within) for number in range(len(fitted.forms))]
     forms = evidence.search.forms
-    free = [system.calibration[:, 3:], *(OTHER_EFFECTS_SD * system.columns(form) for form in fitted.forms)]
+    free = [system.calibration[:, 3:], *(MIN_EFFECT_SD * system.columns(form) for form in fitted.forms)]
 
     def near(
         names: Sequence[str], others: Sequence[FloatArray], forms: Mapping[str, Sequence[Form]], by: float = 1.0
@@ -105,7 +100,7 @@ def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Dist
 def _of_effect(evidence: Evidence, number: int, within: float) -> Distances:
     fitted, system = evidence.fitted, evidence.system
     form, theta = fitted.forms[number], fitted.theta[number]
-    others = [OTHER_EFFECTS_SD * system.columns(other) for other in fitted.forms if other is not form]
+    others = [MIN_EFFECT_SD * system.columns(other) for other in fitted.forms if other is not form]
     contribution = np.asarray(system.columns(form) @ (theta / form.typical))
     near = _absorbing(evidence, contribution, within)
     own = min(near.values(), default=np.inf) < SEPARATION_SD or evidence.effects[form.effect].needs_calibration
@@ -356,7 +351,7 @@ def credible_sets(evidence: Evidence, groups: Sequence[Sequence[str]]) -> tuple[
     for key, weight in sorted(weights.items(), key=lambda item: -item[1]):
         sets.append(key)
         total += weight
-        if total >= CREDIBLE:
+        if total >= CONFIDENCE:
             break
     for group in groups:
         replaced = [name for name in group if name in sets[0]]

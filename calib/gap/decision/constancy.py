@@ -10,14 +10,24 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.decision.confounding import LOG_EVIDENCE_WINDOW
 from calib.gap.decision.diagnosis import Cause, Evidence
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, MOST_SESSION_FOLDS, improvement_of, left_with_others
+from calib.gap.decision.held_out import MOST_SESSION_FOLDS, improvement_of, left_with_others
 from calib.gap.decision.trials import groupings
 from calib.gap.effects.effect import Family
-from calib.gap.effects.radii import DIRECTIONS, NAMES, SessionStep
+from calib.gap.effects.radii import DIRECTIONS, NAMES, RadiusScale, SessionStep, UnequalRadii
 from calib.gap.inference.fit import CALIBRATION_SD, SIZE_SD, fit, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
+from calib.gap.inference.thresholds import (
+    ADEQUATE_CLOSURE,
+    FALSE_REJECTION,
+    FORM_ERROR,
+    HALF_CLOSURE,
+    LOG_EVIDENCE_WINDOW,
+    NOISE_LEVELS,
+    SMALL_SHARE,
+)
+from calib.gap.observations.arrays import Channel
+from calib.gap.predict import residuals
 from calib.types import FloatArray, StrArray
 
 #: relative step of a radius: unit of the scatter
@@ -29,13 +39,7 @@ _LOG_VARIANCES: Final = (-12.4, 6.0)
 _SIDES: Final = ("left", "right")
 #: families of causes that follow what may go together with the sessions
 SET_WITH_SESSIONS: Final = (Family.DRIFT, Family.LOAD, Family.SPEED)
-#: chance that a true cause fails any test of constancy, or steps pass for one, the usual level
-FALSE_REJECTION: Final = 0.05
 
-#: least whitened square of a cause on a group: two standard deviations, else its size there is unknown
-LEAST_SQUARE: Final = 4.0
-#: spread of one size over groups: sizes a tenth apart leave a hundredth of the squares
-SAME_SIZE_SD: Final = 0.05
 #: prior precision of a size's difference between groups: a hundred times the size, left to the data
 DIFFERENCE_PRECISION: Final = 1e-4
 
@@ -252,7 +256,7 @@ def _difference(
 
     on_rows = labels[fit.weighting.system.blocks.unit]
     squares = {str(value): float((contribution[on_rows == value] ** 2).sum()) for value in np.unique(labels)}
-    reference, *others = sorted((v for v in squares if squares[v] > LEAST_SQUARE), key=lambda v: -squares[v]) or [""]
+    reference, *others = sorted((v for v in squares if squares[v] > NOISE_LEVELS**2), key=lambda v: -squares[v]) or [""]
     if not others:
         return None
     nuisance = fit.columns[:, :0] if beside is None else beside
@@ -262,9 +266,69 @@ def _difference(
     estimates, covariance = fit.weighting.solve(np.concatenate([fit.columns, further], axis=1), precision)
     change, covariance = estimates[-len(others) :], covariance[-len(others) :, -len(others) :]
     sd = np.sqrt(np.diag(covariance))
-    covariance = covariance + SAME_SIZE_SD**2 * (np.eye(len(others)) + 1.0)
+    covariance = covariance + FORM_ERROR**2 * (np.eye(len(others)) + 1.0)
     largest = int(np.argmax(np.abs(change) / sd))
     statistic = float(change @ np.linalg.solve(covariance, change)) / len(others)
     p_value = float(fdtrc(len(others), max(fit.noise.dof, 3.0), statistic))
     ratio = 1.0 + float(change[largest])
     return SizeDifference(effect, by, others[largest], reference, ratio, float(sd[largest]), p_value)
+
+
+def unchecked(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, str]:
+    """Return the causes whose sizes no reading checks, and why.
+
+    What one does on other runs is to be known to what these show of it: two standard deviations of a size are less.
+    """
+    hints: dict[str, str] = {}
+    for cause in causes:
+        if (effect := evidence.effects.get(cause.effect)) is not None:
+            times, where = effect.elsewhere(evidence.observations)
+            if times > NOISE_LEVELS and cause.signal < NOISE_LEVELS * times:
+                shown = f"{cause.effect} has a signal of {cause.signal:.0f} in these runs"
+                hints[cause.effect] = f"{shown}, and does {times:.0f} times as much {where}"
+    names = {cause.effect for cause in causes}
+    return _saturated(evidence, names) | hints | _at_a_place(evidence, names)
+
+
+def _at_a_place(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
+    """Return radii, which act along the whole way, where most of a route's gap opens on a stretch of it."""
+    seen, gap = evidence.observations, residuals(evidence.nominal, evidence.nominal)
+    found: dict[str, str] = {}
+    for place in evidence.where.places:
+        name = {Channel.ALONG: RadiusScale.id, Channel.HEADING: UnequalRadii.id}.get(place.channel, "")
+        on = (seen.labels["kind"] == place.route) & seen.usable[:, place.channel]
+        if place.place is None or name not in names or not on.any() or name in found:
+            continue
+        if abs(place.size) > HALF_CLOSURE * float(np.abs(gap[on, place.channel]).mean()):
+            first, last = place.place
+            opens = f"the gap of {place.route} in {place.channel.label} opens from {first:.2f} to {last:.2f} m"
+            found[name] = f"{name} acts along the whole way, and {opens}: look at the floor there"
+    return found
+
+
+def _saturated(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
+    """Return causes that act alike in every run of a route, where not half of the readings are left to check them.
+
+    A reading is a route's mean in a channel. Of thousands of sets some fit what places on each route do. A
+    recalibration by itself is what these runs are for.
+    """
+    seen, blocks = evidence.observations, evidence.left_out.weighting.system.blocks
+    placed = {name for name in names if name in evidence.effects and evidence.effects[name].by_place}
+    contributions = _contributions(evidence, set(names) - placed)
+    pair = np.stack([seen.kind[blocks.unit], blocks.channel])
+    kinds, reading, n = np.unique(pair, axis=1, return_inverse=True, return_counts=True)
+    means = {name: np.bincount(reading, acts) / n for name, acts in contributions.items()}
+    spread = {name: ((acts - means[name][reading]) ** 2).sum() for name, acts in contributions.items()}
+    alike = [name for name, acts in contributions.items() if spread[name] <= SMALL_SHARE * (acts**2).sum()]
+    size = sum(len(form.parameters) for form in evidence.fitted.forms if form.effect in alike)
+    size += sum(name in NAMES for name in alike)
+    shown = np.abs(sum((means[name] for name in alike), np.zeros(len(n)))) * np.sqrt(n) > NOISE_LEVELS
+    if seen.windowed or size < 2 or shown.sum() >= 2 * size or set(alike).issubset(NAMES):
+        return {}
+    routes = len(np.unique(kinds[0, shown]))
+    text = (
+        f"{' and '.join(alike)}: {size} sizes rest on {shown.sum()} mean readings of {routes} "
+        f"{'route' if routes == 1 else 'routes'} and nothing checks them, since offsets of the routes' own would look "
+        "the same; drive another route with turns"
+    )
+    return dict.fromkeys(alike, text)

@@ -14,15 +14,12 @@ from calib.campaign.checks.measurements import loads_against_payload
 from calib.campaign.model import Note
 from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, sentences
-from calib.gap.decision.constancy import SizeDifference, size_differences, without_refuted
+from calib.gap.decision.constancy import SizeDifference, size_differences, unchecked, without_refuted
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Fix, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, without_length
 from calib.gap.decision.kind import (
-    CERTAIN_PROBABILITY,
-    NAMED_PROBABILITY,
     NO_GAP_SHOWN,
     NOTHING_NAMED,
-    SMALL_SHARE,
     fails,
     hides_causes,
     is_shown,
@@ -33,20 +30,26 @@ from calib.gap.decision.kind import (
     stands_off,
 )
 from calib.gap.decision.part import as_delivered, is_named_beside, moved, sure_part
-from calib.gap.decision.trials import FALSE_ALARM, reach_of_noise
+from calib.gap.decision.trials import reach_of_noise
 from calib.gap.effects.effect import Family, Form
 from calib.gap.effects.encoder import BAD_RUN_RATIO, BLUNDER_MISFIT
 from calib.gap.effects.radii import NAMES
-from calib.gap.inference.local_search import EVEN_PROBABILITY
 from calib.gap.inference.marginal_likelihood import Nuisance
+from calib.gap.inference.thresholds import (
+    CERTAIN_PROBABILITY,
+    CONFIDENCE,
+    EVEN_PROBABILITY,
+    FALSE_ALARM,
+    LOG_EVIDENCE_WINDOW,
+    NAMED_PROBABILITY,
+    SMALL_SHARE,
+)
 from calib.gap.localise.locate import by_run
 
 #: families of unlike corrections: confounded members are no mere forms of one another
 OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 
 
-#: what more than doubles the error on held-out runs explains nothing; less may be a run that alone tells a length
-MOST_GROWTH: Final = 2.0
 #: what to write where places mean nothing
 FRAME: Final = 'write reference.frame = "start" where each begins anywhere'
 #: remarks on the data before a verdict: more push it off the screen
@@ -68,10 +71,11 @@ def decide(evidence: Evidence) -> Diagnosis:
     small = _small(evidence, causes, probable, certain)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
     # probable by an alias and hardly in the 95 % set: not the cause to name
-    doubted = {cause.effect for cause in causes if cause.probability <= 1.0 - confounding.CREDIBLE}
+    doubted = {cause.effect for cause in causes if cause.probability <= 1.0 - CONFIDENCE}
     causes = [cause for cause in causes if cause.effect not in doubted]
     placed, unexplained = naming.places_as_unexplained(evidence, causes, unexplained)
     causes = naming.limited_beside(unexplained, [cause for cause in causes if cause not in placed])
+    causes = naming.limited_to_even(causes, open_sizes := unchecked(evidence, causes))
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     stated |= {cause.effect: min(cause.probability, EVEN_PROBABILITY) for cause in placed}
     stated["unknown"] = max([stated["unknown"], *(cause.probability for cause in placed)])
@@ -79,7 +83,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     gap_probability = confounding.gap_probability(evidence)
     # off and excluded from the library: nothing explains it
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
-    doubtful = bool(doubted) or _rather_not(causes, certain)
+    doubtful = bool(doubted or open_sizes) or _rather_not(causes, certain)
     kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubtful)
     kind, gap_probability, noise_level = _as_shown(evidence, kind, gap_probability)
     if kind in NOTHING_NAMED:
@@ -87,7 +91,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     elif hides_causes(closure, share) or not evidence.noise.supported:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     tied = tied_with(causes, groups)
-    found = naming.Finding(causes, certain, unexplained, differing, tied)
+    found = naming.Finding(causes, certain, unexplained, differing, tied, open_sizes)
     fix = as_delivered(evidence, found, fix_of(evidence, found, confounded, small))
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, found, fix)
@@ -207,7 +211,8 @@ def _kind(
 ) -> VerdictKind:
     large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
     improvement = evidence.held_out.improvement
-    if improvement is not None and improvement.after_rms > MOST_GROWTH * improvement.before_rms:
+    # what leads held-out runs further off explains nothing
+    if improvement is not None and improvement.improvement_ci95[1] < 0.0:
         causes = []
     off = misfit_of(evidence)
     if not evidence.noise.supported and off < BLUNDER_MISFIT:
@@ -253,7 +258,7 @@ def _form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]
     if len(causes) < 2:
         return ()
     errors: list[str] = []
-    fitted, window = evidence.fitted, 2.0 * confounding.LOG_EVIDENCE_WINDOW
+    fitted, window = evidence.fitted, 2.0 * LOG_EVIDENCE_WINDOW
     fitted_labels = {(form.effect, form.label) for form in fitted.forms}
     least = confounding.refitted(evidence, fitted.forms, ())[0] + window
     families = {name: effect.family for name, effect in evidence.effects.items()}

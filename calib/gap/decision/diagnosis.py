@@ -19,9 +19,10 @@ from calib.gap.effects.reference import ReferenceScale, TurnedReference
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
-from calib.gap.inference.local_search import EVEN_PROBABILITY, SearchResult
+from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import Recalibration
+from calib.gap.inference.thresholds import EVEN_PROBABILITY
 from calib.gap.localise.locate import GapLocation
 from calib.gap.observations.arrays import Channel, Observations
 from calib.gap.plan.identifiability import DetectionLimit

@@ -10,19 +10,21 @@ from calib.gap.decision.causes import Finding
 from calib.gap.decision.constancy import SET_WITH_SESSIONS
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import Closure, Improvement
-from calib.gap.decision.kind import (
-    CERTAIN_PROBABILITY,
-    HALF_CLOSURE,
-    SIGNAL_OVER_UNEXPLAINED,
-    SMALL_SHARE,
-    corrections_agree,
-    fails,
-)
-from calib.gap.decision.trials import FALSE_ALARM, Trial
+from calib.gap.decision.kind import corrections_agree, fails
+from calib.gap.decision.trials import Trial
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
-from calib.gap.inference.local_search import EVEN_PROBABILITY
+from calib.gap.inference.thresholds import (
+    CERTAIN_PROBABILITY,
+    EVEN_PROBABILITY,
+    FALSE_ALARM,
+    FIX_PROBABILITY,
+    FURTHER_PROBABILITY,
+    HALF_CLOSURE,
+    NOISE_LEVELS,
+    SMALL_SHARE,
+)
 from calib.types import few_digits
 
 #: more confounded effects do not identify the cause: no more are listed
@@ -37,11 +39,6 @@ PARTING: Final = {
     Family.DRIFT: SET_WITH_SESSIONS,
     Family.DIRECTION: (Family.SPEED,),
 }
-#: least probability that all causes of a fix are at work: a wrong one costs 1.5 times one withheld
-FIX_PROBABILITY: Final = 0.6
-#: and of a cause beside the largest: without it the fix loses little, with a wrong one its trust. Of 17 fixes whose
-#: causes all had 0.6 to 0.8 in 1,792 cases 8 were wrong, none of the 10 with one cause
-FURTHER_PROBABILITY: Final = 0.8
 #: bounds of plausible sizes are known to half an order of magnitude
 PLAUSIBLE_FACTOR: Final = sqrt(10.0)
 
@@ -86,7 +83,7 @@ def reasons(
 
     `improvement`, `closure`: on held-out runs; `trials`: on each value of what varies, held out.
     """
-    single = (text for cause in found.causes for text in doubts(cause, found))
+    single = dict.fromkeys(text for cause in found.causes for text in doubts(cause, found))
     left = any(map(fails, trials)) or (closure is not None and closure.leaves_part)
     helpful = [
         *unhelpful(improvement),
@@ -121,9 +118,11 @@ def doubts(cause: Cause, found: Finding) -> Iterator[str]:
         yield f"the interval of {cause.effect} holds zero ({sizes}); {PLAN}"
     if cause.effect in found.differing:
         yield found.differing[cause.effect].sentence
+    if cause.effect in found.unchecked:
+        yield found.unchecked[cause.effect]
     unexplained = found.unexplained if found.leaves_part and cause.share > SMALL_SHARE else None
     shared = unexplained is not None and unexplained.beyond_noise and cause.probability <= EVEN_PROBABILITY
-    if unexplained is not None and (shared or cause.signal < SIGNAL_OVER_UNEXPLAINED * unexplained.signal):
+    if unexplained is not None and (shared or cause.signal < NOISE_LEVELS * unexplained.signal):
         yield (
             f"{cause.effect} has a signal of {cause.signal:.0f} beside an unexplained residual of "
             f"{unexplained.signal:.0f}, of which it may be a part; add columns of suspected quantities to runs.csv"
@@ -170,7 +169,7 @@ def unsized(evidence: Evidence, found: Finding) -> Iterator[str]:
     if found.unexplained is not None or evidence.search.rest < EVEN_PROBABILITY:
         return
     hidden = (8.0 * float(evidence.observations.usable.sum())) ** 0.25
-    weak = [c for c in found.causes if c.share > SMALL_SHARE and c.signal < SIGNAL_OVER_UNEXPLAINED * hidden]
+    weak = [c for c in found.causes if c.share > SMALL_SHARE and c.signal < NOISE_LEVELS * hidden]
     if weak or not found.causes:
         yield (
             f"the probability of an unexplained residual is {evidence.search.rest:.2f}, though it is too small to be "

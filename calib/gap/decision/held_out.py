@@ -9,19 +9,13 @@ from calib.documents import plain_fields
 from calib.gap.inference.fit import squares_by_unit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
+from calib.gap.inference.thresholds import FULL_CLOSURE, NOISE_LEVELS
 from calib.gap.observations.arrays import POSE, Channel, Observations
 from calib.gap.predict import Path, measured_gap, residuals
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: of a closure: nothing held out, the user's simulator ran again with the fix
 RERUN: Final = "none"
-#: least closure of a believed explanation: more than two thirds of the error's square go
-ADEQUATE_CLOSURE: Final = 0.7
-#: least closure of an explained gap; below, part of it is unexplained
-FULL_CLOSURE: Final = 0.9
-#: and a residual of so many noise levels in a channel is said, however large the gap was: three quarters of its square
-#: are no noise
-LARGE_RESIDUAL: Final = 2.0
 #: resamples of conditions: ends of the 95 % interval then vary by a few per cent of its width
 BOOTSTRAPS: Final = 400
 #: folds of conditions or runs: five sixths of the runs stay
@@ -83,7 +77,7 @@ class Closure:
     def leaves_part(self) -> bool:
         """Whether part of the gap is left, beyond the closure's interval."""
         high = self.ci95[1] if self.ci95 else 1.0
-        return high < FULL_CLOSURE or self.largest_residual > LARGE_RESIDUAL
+        return high < FULL_CLOSURE or self.largest_residual > NOISE_LEVELS
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""

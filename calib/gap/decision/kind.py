@@ -8,34 +8,32 @@ from typing import Final
 import numpy as np
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Unexplained, VerdictKind
-from calib.gap.decision.held_out import ADEQUATE_CLOSURE, LARGE_RESIDUAL, RERUN, Closure, Improvement, end_rms_m
-from calib.gap.decision.trials import FALSE_ALARM, NEGLIGIBLE_GROWTH, Trial, most_square, reach_of_noise
+from calib.gap.decision.held_out import RERUN, Closure, Improvement, end_rms_m
+from calib.gap.decision.trials import Trial, most_square, reach_of_noise
 from calib.gap.effects.effect import forms_on
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.inference.fit import hypothesis_path
-from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
-from calib.gap.inference.noise import MAX_NOISE_EXCESS, STATED_EXCESS
+from calib.gap.inference.noise import MAX_NOISE_EXCESS, STATED_EXCESS, Noise
+from calib.gap.inference.thresholds import (
+    ADEQUATE_CLOSURE,
+    CERTAIN_PROBABILITY,
+    CONFIDENCE,
+    FALSE_ALARM,
+    FALSE_REJECTION,
+    HALF_CLOSURE,
+    HIDDEN_CLOSURE,
+    NEGLIGIBLE_GROWTH,
+    NOISE_LEVELS,
+    REPORTED_GAP_PROBABILITY,
+    SMALL_SHARE,
+)
 from calib.gap.observations.arrays import Channel
-from calib.gap.predict import residuals
+from calib.gap.predict import Path, residuals
 from calib.types import few_digits
 
-#: closure below which an unexplained residual hides whether anything is explained
-HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE
-#: closure below which more remains than is explained: where certain, causes imitate the unexplained one (in 8 of 8
-#: verdicts of opened sets, 2 of 3 on altered recordings)
-HALF_CLOSURE: Final = 0.5
-#: share of the gap above which an unexplained residual, or confounded causes, are part of the verdict
-SMALL_SHARE: Final = 0.05
 #: share of the largest cause's that is a hundredth of its size: no law is known closer, and what it leaves looks like a
 #: small cause
 NEGLIGIBLE_SHARE: Final = 1e-4
-#: least probability of a named cause, with all that it is confounded with
-NAMED_PROBABILITY: Final = 0.1
-#: least own probability of a cause that is small, or beside an unexplained residual that hides whether a correction
-#: helps: of small ones stated at 0.8 to 0.9 in 350 development cases 4 of 7 were not at work
-CERTAIN_PROBABILITY: Final = 0.9
-#: signal of a fix's cause over a larger unexplained residual's: half of a weaker one may be it
-SIGNAL_OVER_UNEXPLAINED: Final = 2.0
 #: verdicts that name no cause
 NO_GAP_SHOWN: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNDECIDED})
 NOTHING_NAMED: Final = NO_GAP_SHOWN | {VerdictKind.UNKNOWN}
@@ -120,31 +118,35 @@ def tells_more(windows: Diagnosis, ends: Diagnosis) -> bool:
     """
     if ends.kind not in NO_GAP_SHOWN and not ends.is_improbable:
         return windows.kind is VerdictKind.EXPLAINED and windows.recommended
-    large = any(line.before_rms > LARGE_RESIDUAL * line.floor_rms for line in windows.closure.channels)
+    large = any(line.before_rms > NOISE_LEVELS * line.floor_rms for line in windows.closure.channels)
     return large and windows.kind not in NO_GAP_SHOWN and (windows.gap_probability or 0.0) >= 1.0 - FALSE_ALARM
 
 
-def kept_back_by_ends(windows: Diagnosis, ends: Diagnosis) -> Diagnosis:
-    """Return the diagnosis by windows, its fix not recommended where whole runs end further off with it."""
+def kept_back(found: Diagnosis, nominal: Path, noise: Noise) -> Diagnosis:
+    """Return a diagnosis, its fix not recommended where it takes other observations of the same runs further off.
+
+    `nominal`, `noise`: of whole runs for a diagnosis by windows of the recordings, else of their windows.
+    """
     from scipy.special import stdtrit
 
-    if not windows.recommended:
-        return windows
-    evidence, fix, seen = ends.arrays, windows.correction, ends.observations
-    offered = zip(forms_on(seen, evidence.effects, fix.forms), fix.theta, strict=True)
+    if not found.recommended:
+        return found
+    fix, seen, effects = found.correction, nominal.s, found.arrays.effects
+    offered = zip(forms_on(seen, effects, fix.forms), fix.theta, strict=True)
     acting = [(form, size) for form, size in offered if form is not None]
     forms, theta = [form for form, _ in acting], [size for _, size in acting]
-    corrected = hypothesis_path(seen, fix.calibration, forms, theta, evidence.nominal)
-    gaps = [residuals(path, evidence.nominal) for path in (evidence.nominal, corrected)]
-    before, after = ((np.where(seen.usable, gap / evidence.noise.floor, 0.0) ** 2).sum(axis=1) for gap in gaps)
+    corrected = hypothesis_path(seen, fix.calibration, forms, theta, nominal)
+    gaps = [residuals(path, nominal) for path in (nominal, corrected)]
+    before, after = ((np.where(seen.usable, gap / noise.floor, 0.0) ** 2).sum(axis=1) for gap in gaps)
     grown, n = after - before, len(seen)
-    # one chance in twenty; a delay, which shows in windows alone, does nothing there
-    chance = float(stdtrit(max(n - 1, 1), 0.95)) * float(np.std(grown)) / sqrt(n)
+    # one chance in twenty; a delay, which shows in windows alone, does nothing at ends
+    chance = float(stdtrit(max(n - 1, 1), CONFIDENCE)) * float(np.std(grown)) / sqrt(n)
     if grown.mean() <= max(chance, NEGLIGIBLE_GROWTH * float(seen.usable.sum(axis=1).mean())):
-        return windows
+        return found
     sizes = [few_digits(1e3 * (end_rms_m(gap, seen) or 0.0)) for gap in gaps]
-    why = f"whole runs end {sizes[1]} mm off with it, {sizes[0]} mm without; 'calib plan' names the runs that tell"
-    return replace(windows, fix=replace(windows.fix, recommended=False, why=(why, *windows.fix.why)))
+    ends = "windows of the recordings" if seen.windowed else "whole runs"
+    why = f"{ends} end {sizes[1]} mm off with it, {sizes[0]} mm without; 'calib plan' names the runs that tell"
+    return replace(found, fix=replace(found.fix, recommended=False, why=(why, *found.fix.why)))
 
 
 def with_left(diagnosis: Diagnosis) -> Diagnosis:
@@ -158,7 +160,7 @@ def with_left(diagnosis: Diagnosis) -> Diagnosis:
         return diagnosis
     left: list[tuple[float, str]] = []
     beyond = [line for line in closure.channels if line.after_rms > line.floor_rms > 0.0] if closure.leaves_part else []
-    large = [line for line in beyond if line.after_rms > LARGE_RESIDUAL * line.floor_rms]
+    large = [line for line in beyond if line.after_rms > NOISE_LEVELS * line.floor_rms]
     for line in large or beyond:
         times = line.after_rms / line.floor_rms
         n = 1 if evidence is None else int(evidence.observations.usable[:, line.channel].sum())
@@ -237,9 +239,8 @@ def misfit_of(evidence: Evidence) -> float:
     return float(np.mean(misfit(evidence.fitted.path, evidence.nominal)))
 
 
-#: effects beside a cause that is not sure, from the likeliest down to one in twenty, that the next runs should exclude
+#: effects beside a cause that is not sure that the next runs should exclude
 MOST_RIVALS: Final = 3
-RIVAL_PROBABILITY: Final = 0.05
 
 
 def open_questions(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
@@ -251,7 +252,7 @@ def open_questions(diagnosis: Diagnosis) -> list[tuple[str, ...]]:
     if diagnosis.groups or diagnosis.recommended:
         return [*diagnosis.groups]
     named = {cause.effect for cause in diagnosis.causes}
-    rivals = [name for name, p in diagnosis.probabilities.items() if p >= RIVAL_PROBABILITY and name != "unknown"]
+    rivals = [name for name, p in diagnosis.probabilities.items() if p >= FALSE_REJECTION and name != "unknown"]
     rivals = [name for name in rivals if name not in named][:MOST_RIVALS]
     doubtful = [cause.effect for cause in diagnosis.causes if cause.probability < CERTAIN_PROBABILITY]
     return [(effect, rival) for effect in doubtful for rival in rivals]

@@ -13,7 +13,6 @@ from calib.gap.decision.causes import Finding, jointly_zero
 from calib.gap.decision.constancy import half_of_steps
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
 from calib.gap.decision.held_out import Improvement, improvement_of
-from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE
 from calib.gap.decision.trials import Trial, most_square, trials
 from calib.gap.effects.effect import Family
 from calib.gap.effects.library import effect_class
@@ -21,6 +20,7 @@ from calib.gap.effects.quantities import session_steps
 from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
+from calib.gap.inference.thresholds import CERTAIN_PROBABILITY, EVEN_PROBABILITY, HALF_CLOSURE
 from calib.gap.predict import residuals
 from calib.types import FloatArray, few_digits
 
@@ -47,8 +47,9 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     if Family.SIMULATOR in families and dropped.keys() - steps:
         # a simulator's parameters are set together, and judged by running it again
         return whole
-    # a recalibration is part of every fit: its unsure part cannot be taken off
-    if not (names or evidence.situation.faults) or any(name in NAMES for name in dropped):
+    # a recalibration is part of every fit: what of it is rather at work than not cannot be taken off
+    likely = {cause.effect for cause in causes if found.probability(cause) >= EVEN_PROBABILITY}
+    if not (names or evidence.situation.faults) or any(name in NAMES and name in likely for name in dropped):
         return whole
     # what dropped causes explain is left by design: the closure is that of all
     if causes and (_is_whole(evidence, names) or any(True for _ in rule.remaining(whole.held_out, unexplained))):

@@ -7,12 +7,17 @@ from typing import TYPE_CHECKING, Final
 
 from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.decision.fix import LARGEST_GROUP, REPEAT
-from calib.gap.decision.held_out import LARGE_RESIDUAL, RERUN, ChannelClosure
-from calib.gap.decision.kind import CERTAIN_PROBABILITY, HALF_CLOSURE, ON_FLOOR, fails
+from calib.gap.decision.held_out import RERUN, ChannelClosure
+from calib.gap.decision.kind import ON_FLOOR, fails
 from calib.gap.effects.library import effect_class, title_of
 from calib.gap.effects.radii import HIDES_IN
-from calib.gap.inference.local_search import EVEN_PROBABILITY
-from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
+from calib.gap.inference.thresholds import (
+    CERTAIN_PROBABILITY,
+    EVEN_PROBABILITY,
+    HALF_CLOSURE,
+    NOISE_LEVELS,
+    REPORTED_GAP_PROBABILITY,
+)
 from calib.gap.localise.along_run import PlaceResult
 from calib.gap.localise.locate import GapLocation
 from calib.types import few_digits
@@ -119,7 +124,7 @@ def _unexplained(diagnosis: Diagnosis) -> str:
     if diagnosis.unexplained is None:
         if any(map(fails, diagnosis.fix.transfer)):
             return "the correction does not carry over to all held-out runs"
-        if (left := diagnosis.closure.largest_residual) > LARGE_RESIDUAL:
+        if (left := diagnosis.closure.largest_residual) > NOISE_LEVELS:
             return f"{left:.0f} times the noise is left on held-out runs"
         if diagnosis.closure.leaves_part:
             return "part of the gap remains on held-out runs"

@@ -9,13 +9,10 @@ import numpy as np
 from calib.gap.decision.held_out import end_rms_m
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.marginal_likelihood import FLOOR_DOF
+from calib.gap.inference.thresholds import FALSE_ALARM, NEGLIGIBLE_GROWTH
 from calib.gap.observations.arrays import Observations
 from calib.types import BoolArray, FloatArray, StrArray
 
-#: chance that noise alone exceeds its limit in any trial of a campaign
-FALSE_ALARM: Final = 0.01
-#: share of noise's squares below which growth harms nobody: 2.5 % of its root mean square
-NEGLIGIBLE_GROWTH: Final = 0.05
 #: values held out one by one; more are joined into so many groups
 MOST_VALUES: Final = 8
 #: a single observation shows nothing

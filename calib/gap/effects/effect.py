@@ -199,6 +199,10 @@ class Effect(ABC):
         """Return what it rests on that these runs do not tell: then it has to predict routes that are held out."""
         return ""
 
+    def elsewhere(self, observations: Observations) -> tuple[float, str]:  # noqa: ARG002
+        """Return how many times what these runs show it does on others, and which to drive."""
+        return 1.0, ""
+
     def offer(self, offers: Sequence[Offer], *, by_parts: bool = False) -> list[Form]:
         """Return a form for each of several labels, its parameters and perturbations; the search over them counts."""
         return [Form(self.id, *each, tries=len(offers), by_parts=by_parts) for each in offers]
@@ -223,6 +227,9 @@ def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, floa
 
     alike = [form for form in forms if form.label == label]
     alike = alike or [form for form in forms if form.label.partition(" above")[0] == label.partition(" above")[0]]
+    # of two readings these runs may have one
+    parts = tuple(label.split(" and "))
+    alike = alike or [form for form in forms if len(parts) > 1 and form.label.startswith(parts)]
     return min(alike, key=off, default=None)
 
 

@@ -117,11 +117,19 @@ class ReferenceLeverArm(Effect):
             return [_off_course(path, path.s.course_error[:, :, n], place) for n, place in enumerate((1.0, 1j))]
 
         scale = reach(observations)
-        # a steered vehicle's wheelbase is stated, and its sensor can sit anywhere between the axles
-        longest = max(2e-1 * scale, observations.vehicle.wheelbase_m if observations.by_front else 0.0)
+        # a steered vehicle's sensor can sit anywhere between the axles
+        longest = max(2e-1 * scale, observations.vehicle.wheelbase_m * observations.by_front)
         names = (("lever_x", longest), ("lever_y", 2e-1 * scale))
         parameters = tuple(Parameter(name, "m", typical=1e-2 * scale, largest=most) for name, most in names)
         return [Form(self.id, "", parameters, perturbations)]
+
+    def elsewhere(self, observations: Observations) -> tuple[float, str]:
+        """See `Effect`: it moves a position by |exp(i theta) - 1| l."""
+        heading = predict(observations).frame[observations.usable[:, 1]]
+        shown = float(np.max(np.abs(np.exp(1j * heading) - 1.0), initial=0.0))
+        if observations.windowed or shown > np.sqrt(2.0):
+            return 1.0, ""
+        return np.sqrt(2.0) / max(shown, 1e-3), "after a quarter turn; drive a route that ends at 90 degrees or more"
 
 
 def _off_course(path: Path, error: FloatArray, beside_m: complex = 0.0) -> Perturbation:
@@ -282,8 +290,6 @@ TURN_RESIDUAL_SHARE: Final = 0.2
 #: by how much the end's heading may be off where none is measured: radii unequal by a hundredth, over ten tracks
 HEADING_ERROR_RAD: Final = 0.1
 MIRRORED: Final = 0.999  #: confidence at which the scatter of ends tells mirrored axes from turned ones
-#: of an angle, two standard uncertainties are 95 %
-COVERAGE_FACTOR: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,7 +326,7 @@ class TurnedReference:
     @property
     def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
         """Value, 95 % interval and unit of its parameter."""
-        value, half = self.yaw_rad, COVERAGE_FACTOR * self.sd_rad
+        value, half = self.yaw_rad, 2.0 * self.sd_rad
         return {"yaw": (value, (value - half, value + half), "rad")}
 
     def refined(self, turned_rad: float, sd_rad: float) -> "TurnedReference":

@@ -247,8 +247,7 @@ def without_forms(effect: Effect, labels: Sequence[str]) -> Effect:
 def with_zero(effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Mapping[str, float]) -> Effect:
     """Return an effect whose zero point is free where it is counted from a mean and the calibration is held.
 
-    Else radii off on average would pass for a parameter. The zero lies about as far from the runs as they are apart:
-    more is a cause of its own.
+    Else radii off on average would pass for a parameter.
 
     `zeros`: what another zero point looks like, and how much of it, in typical sizes, moves the readings by one of
     their standard deviations; `reach`: by how many of these each form of the effect moves them, by label.

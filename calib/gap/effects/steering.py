@@ -54,9 +54,8 @@ def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray
 def angle_error(observations: Observations, error_rad: FloatArray, exact_at: float = 0.0) -> Perturbation:
     """Return what it does that the logged steering angle is too large by `error_rad`, shape (n_steps,), per unit.
 
-    The heading by steering, sum of ds sin(delta) / L, is then too large by ds cos(delta) error / L, and the distance by
-    the front wheel, sum of ds cos(delta), too small by ds sin(delta) error. The channels are what the rear wheels say
-    less that, so they gain the excess.
+    The heading by steering is then too large by ds cos(delta) error / L, and the distance by the front wheel too small
+    by ds sin(delta) error. The channels are what the rear wheels say less that, so they gain the excess.
 
     `exact_at`: size at which sine and cosine are taken of the whole error; their slopes by default.
     """

@@ -42,7 +42,6 @@ MOST_EFFECTS: Final = 6
 #: effects of which all pairs are tried: one may hide the other
 PAIRED: Final = 60
 Model = tuple[int, ...]
-EVEN_PROBABILITY: Final = 0.5
 
 
 class LocalSearch:

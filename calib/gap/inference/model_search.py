@@ -16,6 +16,7 @@ from calib.gap.inference.local_search import MOST_EFFECTS, LocalSearch, Model, S
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
 from calib.gap.inference.scale_evidence import NOISE_WINDOW, ScaleEvidence, held_gain, scale_gains
+from calib.gap.inference.thresholds import REPORTED_GAP_PROBABILITY
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray
 
@@ -28,8 +29,6 @@ _SINGLE_STARTS: Final = 3
 #: models weighed together with the calibration: at most, within this log-evidence window of the best
 _MAX_LIKELY_MODELS: Final = 12
 _LIKELY_WINDOW: Final = 7.0
-#: least probability of a reported gap
-REPORTED_GAP_PROBABILITY: Final = 0.3
 #: sets taken as current, one after the other
 _MAX_SET_CHANGES: Final = 5
 _MAX_FORM_CHANGES: Final = 3

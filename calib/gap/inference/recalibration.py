@@ -12,9 +12,10 @@ from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS, TYPICAL
 from calib.gap.inference.fit import CALIBRATION_SD, by_form
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
-from calib.gap.inference.local_search import EVEN_PROBABILITY, TOLERANCE, SearchResult
+from calib.gap.inference.local_search import TOLERANCE, SearchResult
 from calib.gap.inference.marginal_likelihood import effect_scale, log_evidence_parts, log_marginal
 from calib.gap.inference.scalar_products import FURTHER, SCALE_CHOICE_COST
+from calib.gap.inference.thresholds import EVEN_PROBABILITY
 from calib.types import FloatArray
 
 #: prior odds of each being off by itself
@@ -127,8 +128,7 @@ def weigh_subsets(
 ) -> SubsetWeights:
     """Weigh the subsets of the calibration's parameters beside some forms.
 
-    An effect may be centred elsewhere, or deviate from its form; a shift up to `ATTRIBUTED_SHIFT_SHARE` times its own
-    size counts as part of it, where its zero can lie so far off.
+    An effect may be centred elsewhere: a shift up to `ATTRIBUTED_SHIFT_SHARE` times its own size counts as part of it.
 
     Parameters
     ----------

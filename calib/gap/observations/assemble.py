@@ -287,7 +287,6 @@ def _sigmas_assumed(campaign: Campaign, usable: BoolArray) -> bool:
 
 
 def _laser_axis(measured: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return what the laser's distance lies along; see `Observations.axis`."""
     both = usable[:, :3].all(axis=1)
     ahead = both.any() and looks_ahead(*measured[both, :3].T)
     return np.where(both, np.where(measured[:, Channel.ALONG] < 0.0, -1.0, 1.0) if ahead else 2.0, 0.0)

@@ -252,10 +252,7 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
 
 
 def _recorded(run: int, setup: Setup, room: FloatArray) -> Observation | None:
-    """Return a run with what row and log measured at its end; None without counts.
-
-    What varies along it goes into `room`, (n_quantities, n_samples).
-    """
+    # what varies along the run goes into `room`, (n_quantities, n_samples)
     campaign, runs, per_rad = setup.campaign, setup.campaign.runs, setup.per_rad
     log = campaign.logs.of(run)
     rows = log_rows(log)

@@ -87,10 +87,9 @@ def next_runs(
 ) -> list[PlannedRun]:
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
-    The runs are driven in one session, those at another temperature in one of their own, and those of a route that was
-    not repeated so far `REPEATS` times. Each step takes the run after which the two nearest confounded effects are
-    furthest apart, else most effects of the library; runs without which as many are told apart are omitted. What the
-    law of the load lacks is added.
+    They are driven in one session, those at another temperature in one of their own, and `REPEATS` times on a route
+    not repeated so far. Each step takes the run after which the two nearest confounded effects are furthest apart,
+    else most effects of the library. What the law of the load lacks is added.
 
     `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
     effects; `apart_on`: how far those are on other runs; `candidates`: see `default_candidates`; `most`: runs to name.
@@ -115,7 +114,8 @@ def next_runs(
         task = untied(Signatures(path, noise, effects), number, counts)
     taped = any(ReferenceScale.id in tie for tie in ties) and not measured.distance
     # what 'calib fit' lacks follows the runs that tell confounded effects
-    law = _of_law(driven, runs)
+    measured_runs = np.isfinite(driven.runs.number("distance_m")).sum()
+    law = _laden(runs) if measured_runs >= FEWEST_OF_A_LAW and len(sessions_of_loads(driven)) == 1 else []
     first = {} if task.tied else dict.fromkeys(law[:1], _OF_LAW)
     first |= dict.fromkeys(_of_one_way(driven, runs), _BOTH_WAYS)
     first |= {n: _OF_SCALE for n, run in enumerate(runs) if taped and run.tape}
@@ -189,22 +189,13 @@ def _corridor_run(driven: Campaign, dimensions: Dimensions) -> PlannedRun:
     return PlannedRun("corridor", "out", temperature_C=usual_C, speed_mps=dimensions.speeds_mps[1])
 
 
-def _of_law(driven: Campaign, candidates: Sequence[PlannedRun]) -> list[int]:
-    measured = np.isfinite(driven.runs.number("distance_m")).sum() >= FEWEST_OF_A_LAW
-    if not measured or len(sessions_of_loads(driven)) != 1:
-        return []
-    return _laden(candidates)
-
-
 def _laden(runs: Sequence[PlannedRun]) -> list[int]:
     laden = [number for number, run in enumerate(runs) if run.kind == "corridor" and run.payload_kg > 0.0]
     return sorted(laden, key=lambda number: -runs[number].payload_kg)
 
 
 def _of_one_way(driven: Campaign, runs: Sequence[PlannedRun]) -> list[int]:
-    if not any("load and direction" in note.where for note in columns_as_one(driven)):
-        return []
-    laden = _laden(runs)
+    laden = _laden(runs) if any("load and direction" in note.where for note in columns_as_one(driven)) else []
     return [n for way in ("out", "back") for n in [n for n in laden if runs[n].direction == way][:1]]
 
 

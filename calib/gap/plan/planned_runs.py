@@ -169,7 +169,7 @@ def default_candidates(
     out = PlannedRun("corridor", "out", temperature_C=usual_C, speed_mps=dimensions.speeds_mps[1], tape=tape)
     loaded = replace(out, payload_kg=most_kg, payload_x_m=ahead)
     candidates += [replace(loaded, minutes_under_load=minutes) for minutes in (1.0, 60.0)]
-    candidates += [replace(out, stops=4), replace(out, speed_mps=dimensions.speeds_mps[1], read_rolling=True)]
+    candidates += [replace(out, stops=4), replace(out, read_rolling=True)]
     candidates += [replace(out, kind=kind) for kind in ("corridor_short", "corridor_b")]
     if np.isfinite(usual_C):
         candidates += [replace(out, temperature_C=usual_C + k, session=day) for day, k in OTHER_DAYS.items()]
@@ -237,15 +237,12 @@ def drive(
     labels = {name: np.array([getattr(run, name) for run in runs]) for name in ("session", "kind", "direction", "loop")}
     labels["run_id"] = np.array([f"next{number:03d}" for number in range(len(runs))])
     table = RunTable(labels, numbers, np.zeros(len(runs), dtype=bool), np.arange(2, len(runs) + 2))
-    return replace(campaign, runs=table, logs=_logs_of(logs, measured))
-
-
-def _logs_of(logs: Sequence[Mapping[str, FloatArray]], measured: Measured) -> Logs:
     if not measured.log:
-        return Logs.empty(len(logs))
+        return replace(campaign, runs=table, logs=Logs.empty(len(logs)))
     names = [name for name in logs[0] if not name.startswith("_")]
     offsets = np.concatenate(([0], np.cumsum([len(log["t_s"]) for log in logs]))).astype(np.int64)
-    return Logs(offsets, {name: np.concatenate([log[name] for log in logs]) for name in names})
+    columns = {name: np.concatenate([log[name] for log in logs]) for name in names}
+    return replace(campaign, runs=table, logs=Logs(offsets, columns))
 
 
 def _log(campaign: Campaign, run: PlannedRun, measured: Measured, dimensions: Dimensions) -> dict[str, FloatArray]:

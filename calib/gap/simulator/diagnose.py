@@ -1,7 +1,13 @@
-"""A diagnosis in the parameters of the user's simulator, and a fix that it confirms itself."""
+"""A diagnosis in the parameters of the user's simulator, and a fix that it confirms itself.
 
-from collections.abc import Callable, Sequence
+Rivals are sets of parameters that leave no more than noise when the simulator is run with them.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations, islice
+from math import exp, log, sqrt
+from operator import attrgetter
 from pathlib import Path as FilePath
 from typing import Final
 
@@ -10,19 +16,21 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
-from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.fix import PLAN
 from calib.gap.decision.kind import NO_GAP_SHOWN
 from calib.gap.decision.sentences import joined
+from calib.gap.decision.trials import most_square
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects import simulator
 from calib.gap.effects.effect import Effect, Form
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.effects.library import check_excluded, library
-from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, in_end_frame
 from calib.gap.effects.steering import SteeringScale, SteeringZero
-from calib.gap.inference.fit import signature_columns
-from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
+from calib.gap.inference.fit import signature_columns, whitened_rows
+from calib.gap.inference.thresholds import LOG_EVIDENCE_WINDOW
+from calib.gap.observations.arrays import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
 from calib.gap.simulator.fix import (
@@ -31,11 +39,13 @@ from calib.gap.simulator.fix import (
     iterated,
     left_by,
     named_parameters,
+    run_alone,
+    scaled_signatures,
+    square_left,
     without_parameter,
 )
-from calib.gap.simulator.rivals import Rival, as_rivals, rivals_of
-from calib.gap.simulator.runner import Differences, SimulatorRunner, differences_of
-from calib.gap.simulator.settings import COLUMNS, SimulatorSettings, run_cache, written_wrong
+from calib.gap.simulator.runner import Differences, SimulatorRunner, difference, differences_of
+from calib.gap.simulator.settings import COLUMNS, Declared, SimulatorSettings, run_cache, written_wrong
 from calib.types import FloatArray, Progress, silent
 
 #: most of a calibration effect that the simulator's parameters may miss and still replace it
@@ -50,6 +60,16 @@ class SimulatorDiagnosis:
 
     diagnosis: Diagnosis
     runs: SimulatorRunner
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rival:
+    """Causes that explain the gap by themselves: parameters that were run, or the first verdict's."""
+
+    names: frozenset[str]
+    score: float  #: squares left, and log n a parameter (Schwarz, Annals of Statistics 6, 1978)
+    named: Mapping[str, Declared]
+    fix: SimulatorFix | None  #: None of a verdict with effects of the library
 
 
 def diagnose_simulator(
@@ -81,7 +101,7 @@ def diagnose_simulator(
     runner = SimulatorRunner(settings, root.resolve(), run_ids, cache, workers, progress)
     differences = differences_of(runner, measured.sigma.min(axis=0))
     _refuse_nonsense(measured, differences)
-    observations = _simulated_observations(measured, differences)
+    observations = differences.simulated(measured)
     if not observations.usable.any():
         raise RefusedError(
             f"{settings.path.name}: the simulator predicts nothing that the campaign measured; write sim_distance_m "
@@ -118,7 +138,7 @@ def _confirmed(searched: _Search, differences: Differences, rng: np.random.Gener
     found = iterated(diagnosis, differences) if named else None
     if diagnosis.kind in NO_GAP_SHOWN:
         return diagnosis
-    rivals, unnamed = rivals_of(diagnosis, differences, found), ""
+    rivals, unnamed = _rivals_of(diagnosis, differences, found), ""
     if len(rivals) > 1 or any(each.names != frozenset(c.effect for c in diagnosis.causes) for each in rivals):
         if told := _told_by_runs(searched, diagnosis, differences, rivals):
             diagnosis, found = told
@@ -131,49 +151,27 @@ def _confirmed(searched: _Search, differences: Differences, rng: np.random.Gener
 
 
 def _told_by_runs(
-    searched: _Search, first: Diagnosis, differences: Differences, rivals: Sequence[Rival]
+    searched: _Search, first: Diagnosis, differences: Differences, rivals: Sequence[_Rival]
 ) -> tuple[Diagnosis, SimulatorFix] | None:
     # None where no search names the parameters that were run
     best = next((each for each in rivals if each.fix is not None), None)
     if best is None or best.fix is None:
         return None
     if best.names == {cause.effect for cause in first.causes}:
-        return as_rivals(first, rivals), best.fix
+        return _as_rivals(first, rivals), best.fix
     typical = {each.name: each.parameter.typical for each in best.named.values()}
     through, without = differences.through(best.fix.deviation, best.fix.table, typical), list[str]()
     for _ in range(_MOST_SEARCHES):
         again = searched(through, without)
         names = {cause.effect for cause in again.causes}
         if names == best.names:
-            return as_rivals(again, rivals), iterated(again, through, best.fix)
+            return _as_rivals(again, rivals), iterated(again, through, best.fix)
         if names and names < best.names:
             return again, iterated(again, through)
         if not (others := sorted(names - best.names)):
             break
         without += others
     return None
-
-
-def _simulated_observations(measured: Observations, differences: Differences) -> Observations:
-    simulated = np.full((len(measured), N_CHANNELS), np.nan)
-    simulated[:, :4] = differences.nominal[differences.rows(measured)]
-    simulated[:, 3] += 2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
-    usable = measured.usable & np.isfinite(simulated)
-    axis = differences.axis
-    # a laser reads a length of a run driven backward, too
-    ahead = np.where(measured.measured[:, Channel.ALONG] < 0.0, -1.0, 1.0) if axis == 1.0 else axis
-    noise = differences.scatter[differences.rows(measured)] / np.sqrt(differences.repeats)
-    variance = noise**2
-    variance[:, 1:3] = variance[:, 1:3].mean(axis=1, keepdims=True)
-    observations = replace(
-        measured,
-        simulated=np.where(usable, simulated, np.nan),
-        usable=usable,
-        calibration_held=True,
-        axis=measured.axis if ahead is None else np.where(measured.axis == 0.0, 0.0, ahead),
-        sigma=np.sqrt(measured.sigma**2 + variance),
-    )
-    return simulator.as_simulated(observations, noise)
 
 
 def _refuse_nonsense(measured: Observations, differences: Differences) -> None:
@@ -275,3 +273,121 @@ def _spanned(
 def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:
     whole = np.concatenate(signature_columns(path, forms), axis=2)[:, :4] / path.s.sigma[:, :, None]
     return whole[path.s.usable[:, :4]]
+
+
+#: of a set's squares and Schwarz's penalty over the best one's, beyond which it is ten times less probable
+WINDOW: Final = 2.0 * LOG_EVIDENCE_WINDOW
+#: what a parameter not run may bend: as those run did, and of the gap, by a step of another size or side
+BENT_SHARE: Final = 0.05
+#: squares over noise's that a run's signatures may promise before it is given up: twice the noise level
+PROMISED: Final = 4.0
+#: parameters tried together, and sets of them weighed: all of thirty parameters
+MOST_ALONE: Final = 3
+MOST_SETS: Final = 5000
+#: share by which a size moves where another parameter beside it takes a part
+MOVED: Final = 0.1
+
+
+def _rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix | None) -> list[_Rival]:
+    # the most probable first: the named parameters, those most able, and variants of the best set
+    n_rows, named = int(diagnosis.nominal.s.usable.sum()), named_parameters(diagnosis, differences)
+    limit, verdict = most_square(n_rows, diagnosis.noise.dof), frozenset(cause.effect for cause in diagnosis.causes)
+
+    def rival(some: Mapping[str, Declared], fix: SimulatorFix) -> _Rival:
+        return _Rival(frozenset(some), fix.square + len(some) * log(n_rows), some, fix)
+
+    pure = found is not None and len(named) == len(verdict)
+    run = [rival(named, found)] if found is not None and pure and found.square <= limit else []
+    # of a simulator that scatters more than noise may be its own
+    if not run and (not pure or differences.repeats == 1):
+        able = [some for some in _most_able(diagnosis, differences) if some.keys() != named.keys()]
+        sets = [*able, named] if named and not pure else able
+        fixes = [(some, run_alone(diagnosis, differences, some)) for some in sets]
+        run = sorted((rival(some, fix) for some, fix in fixes if fix.square <= limit), key=attrgetter("score"))[:1]
+    for some in _neighbours(diagnosis, differences, run[0], limit) if run else ():
+        fix = run_alone(diagnosis, differences, some, limit=PROMISED * limit)
+        if fix.square > limit:
+            continue
+        run.append(rival(some, fix))
+        if added := some.keys() - run[0].named.keys():
+            whole = {**run[0].named, **{name: some[name] for name in added}}
+            run.append(rival(whole, run_alone(diagnosis, differences, whole, limit=PROMISED * limit)))
+    if run and len(named) < len(verdict):
+        n_sizes = sum(len(size) for _, size, _ in diagnosis.fitted.each())
+        run.append(_Rival(verdict, diagnosis.fitted.chi_square + n_sizes * log(n_rows), named, None))
+    run.sort(key=attrgetter("score"))
+    kept: list[_Rival] = []
+    for each in run:
+        if each.score <= run[0].score + WINDOW and not any(better.names <= each.names for better in kept):
+            kept.append(each)
+    return kept
+
+
+def _neighbours(
+    diagnosis: Diagnosis, differences: Differences, best: _Rival, limit: float
+) -> Iterator[dict[str, Declared]]:
+    # what signatures about nominal leave too much of, though it bent as far as may be, is no rival
+    assert best.fix is not None
+    forms, sign, columns, gap = scaled_signatures(diagnosis)
+    names = [form.effect for form in forms]
+    inside = [names.index(name) for name in best.named]
+    bent = max(_bend(diagnosis, differences, best.fix), BENT_SHARE * float(np.linalg.norm(gap)))
+    most = (sqrt(limit) + bent) ** 2
+    for number in inside:
+        others = [each for each in inside if each != number]
+        for instead in ([], *([each] for each in range(len(names)) if each not in inside)):
+            some = [*others, *instead]
+            if some and square_left(columns[:, some], gap, sign[some]) <= most:
+                yield {names[each]: differences.by_cause[names[each]] for each in some}
+
+
+def _most_able(diagnosis: Diagnosis, differences: Differences) -> Iterator[dict[str, Declared]]:
+    # radii off alike show in the two together alone: of each number the best set, not the best after the best
+    forms, sign, columns, gap = scaled_signatures(diagnosis)
+    for size in range(1, min(MOST_ALONE, len(forms)) + 1):
+        sets = islice(combinations(range(len(forms)), size), MOST_SETS)
+        square, best = min((square_left(columns[:, [*some]], gap, sign[[*some]]), some) for some in sets)
+        if square < np.inf:
+            yield {forms[number].effect: differences.by_cause[forms[number].effect] for number in best}
+
+
+def _bend(diagnosis: Diagnosis, differences: Differences, fix: SimulatorFix) -> float:
+    # whitened, of a fix's run off its parameters' changes about nominal
+    change = difference(fix.table, differences.nominal)
+    straight = sum((differences.change[name] * size for name, size in fix.deviation.items()), np.zeros_like(change))
+    nominal = diagnosis.nominal
+    missed = in_end_frame(nominal, (change - straight)[differences.rows(nominal.s)])
+    return float(np.linalg.norm(whitened_rows(nominal, diagnosis.noise, missed[:, :, None])))
+
+
+def _as_rivals(diagnosis: Diagnosis, rivals: Sequence[_Rival]) -> Diagnosis:
+    best = next(each for each in rivals if each.fix is not None)
+    weights = [exp(0.5 * (rivals[0].score - each.score)) for each in rivals]
+    groups = {group[0]: tuple(group) for group in diagnosis.groups}
+    for other in rivals:
+        # what stands in the place of a cause, or takes a part of it; one omitted alone is less probable
+        for name in sorted(name for name in best.names if name not in other.names or _moves(name, best, other)):
+            if instead := sorted(other.names - best.names):
+                groups[name] = tuple(dict.fromkeys((*groups.get(name, (name,)), *instead)))
+    shares = {
+        name: sum(weight for each, weight in zip(rivals, weights, strict=True) if name in each.names) / sum(weights)
+        for name in best.names
+    }
+    causes = tuple(replace(c, probability=c.probability * shares.get(c.effect, 1.0)) for c in diagnosis.causes)
+    tied = len(groups) > len(diagnosis.groups) and diagnosis.kind is VerdictKind.EXPLAINED
+    return replace(
+        diagnosis,
+        causes=causes,
+        groups=tuple(groups.values()),
+        kind=VerdictKind.AMBIGUOUS if tied else diagnosis.kind,
+        credible_sets=tuple(dict.fromkeys((*(tuple(sorted(each.names)) for each in rivals), *diagnosis.credible_sets))),
+        probabilities={**diagnosis.probabilities, **{cause.effect: cause.probability for cause in causes}},
+    )
+
+
+def _moves(name: str, best: _Rival, other: _Rival) -> bool:
+    if best.fix is None or other.fix is None:
+        return False
+    parameter = best.named[name].name
+    size = best.fix.deviation[parameter]
+    return abs(other.fix.deviation[parameter] - size) > MOVED * abs(size)

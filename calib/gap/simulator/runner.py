@@ -18,8 +18,8 @@ from typing import IO, Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.gap.effects.simulator import SimulatorParameter, WheelMotion
-from calib.gap.observations.arrays import Observations
+from calib.gap.effects.simulator import SimulatorParameter, WheelMotion, as_simulated
+from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
 from calib.gap.simulator.settings import PLACES, BadTableError, Declared, RunCache, SimulatorSettings, read_table
@@ -67,10 +67,8 @@ class SimulatorRunner:
         results = [self.cache.get(job.parameters, job.repeat, self.run_ids) for job in jobs]
         todo = [number for number, result in enumerate(results) if result is None]
         self.asked, self.ran = self.asked + len(jobs), self.ran + len(todo)
-        if not todo:
-            return [result for result in results if result is not None]
-        command = self._command()
-        with ThreadPoolExecutor(min(self.workers, len(todo))) as pool:
+        command = self._command() if todo else []
+        with ThreadPoolExecutor(min(self.workers, max(len(todo), 1))) as pool:
             try:
                 waiting = {pool.submit(self._one, command, jobs[number]): number for number in todo}
                 while waiting:
@@ -249,6 +247,30 @@ class Differences:
         }
         sizes = {name: size for name, size in deviation.items() if size != 0.0}
         return replace(self, change={**self.change, **moved}, size={**self.size, **sizes}, met=sizes)
+
+    def simulated(self, measured: Observations) -> Observations:
+        """Return observations with what the simulator makes of them, and the noise of both."""
+        simulated = np.full((len(measured), N_CHANNELS), np.nan)
+        simulated[:, :4] = self.nominal[self.rows(measured)]
+        simulated[:, 3] += (
+            2 * np.pi * np.nan_to_num(np.round((measured.measured[:, 3] - simulated[:, 3]) / (2 * np.pi)))
+        )
+        usable = measured.usable & np.isfinite(simulated)
+        axis = self.axis
+        # a laser reads a length of a run driven backward, too
+        ahead = np.where(measured.measured[:, Channel.ALONG] < 0.0, -1.0, 1.0) if axis == 1.0 else axis
+        noise = self.scatter[self.rows(measured)] / np.sqrt(self.repeats)
+        variance = noise**2
+        variance[:, 1:3] = variance[:, 1:3].mean(axis=1, keepdims=True)
+        observations = replace(
+            measured,
+            simulated=np.where(usable, simulated, np.nan),
+            usable=usable,
+            calibration_held=True,
+            axis=measured.axis if ahead is None else np.where(measured.axis == 0.0, 0.0, ahead),
+            sigma=np.sqrt(measured.sigma**2 + variance),
+        )
+        return as_simulated(observations, noise)
 
     def rows(self, observations: Observations) -> list[int]:
         """Return the row of each observation in the tables."""

@@ -19,7 +19,7 @@ from calib.radius.path_length import whole_period_excess
 from calib.radius.regression import WheelFit
 from calib.radius.sessions import Groups
 from calib.reporting.figures import style
-from calib.reporting.figures.style import BLUE, GREY, INK, LEGEND_LIMIT, MANY, ORANGE, axes_grid, canvas, styled
+from calib.reporting.figures.style import BLUE, GREY, INK, LEGEND_LIMIT, MANY, ORANGE, canvas, styled
 from calib.types import FloatArray, StrArray, evenly
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ LOADS_ALIKE: Final = 0.05
 def runs_by_series(radii: EffectiveRadii) -> Figure:
     """Draw each wheel's radius in the order driven (Fig. 10), coloured by load where it varies, else by session."""
     figure = canvas(8.0)
-    axes = axes_grid(figure, 2, 1, sharex=True, sharey=True)[:, 0]
+    axes = figure.subplots(2, 1, sharex=True, sharey=True)
     order = np.arange(1.0, len(radii) + 1)
     sessions = style.named_groups(radii.session, NO_SESSION)
     loads = np.stack((radii.load_left_N, radii.load_right_N))
@@ -90,7 +90,7 @@ def _mark_sessions(axis: Any, sessions: Groups) -> None:
 def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
     """Draw radius against load with law, mean band and prediction band (Fig. 11), below as deviation from the law."""
     figure = canvas(10.0)
-    axes = axes_grid(figure, 2, 2, sharex="col", sharey="row", height_ratios=(1.15, 1.0))
+    axes = figure.subplots(2, 2, sharex="col", sharey="row", height_ratios=(1.15, 1.0))
     sessions = style.named_groups(session, NO_SESSION)
     for column, fit in enumerate((left, right)):
         law = fit.law
@@ -121,7 +121,7 @@ def regressions(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
 def path_deviation(radii: EffectiveRadii) -> Figure:
     """Draw the weave's excess by amplitude and wavelength (Fig. 9), and each run's correction."""
     figure = canvas(7.6)
-    chart, strip = axes_grid(figure, 1, 2, width_ratios=(1.15, 1.0))[0]
+    chart, strip = figure.subplots(1, 2, width_ratios=(1.15, 1.0))
     known = (radii.amplitude_m > 0) & (radii.wavelength_m > 0)
     amplitude, wavelength = radii.amplitude_m[known], radii.wavelength_m[known]
     low, high = 1e-3, 1.0
@@ -173,7 +173,7 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
     from scipy.stats import rankdata
 
     figure = canvas(8.0)
-    axes = axes_grid(figure, 2, 3, sharey=True)
+    axes = figure.subplots(2, 3, sharey=True)
     sessions = style.named_groups(session, NO_SESSION)
     for row, fit in enumerate((left, right)):
         rest = UM * fit.residual_m
@@ -241,7 +241,7 @@ def draw_paths(traces: "Sequence[RunTrace]", *, simulated: bool = False) -> Figu
     kinds = list(dict.fromkeys(trace.kind for trace in traces))
     rows = -(-len(kinds) // COLUMNS)
     figure = canvas((PANEL_CM if len(kinds) > 1 else LONE_PANEL_CM) * rows + 1.2)
-    grid = axes_grid(figure, rows, min(COLUMNS, len(kinds))).ravel()
+    grid = figure.subplots(rows, min(COLUMNS, len(kinds)), squeeze=False).ravel()
     known = np.concatenate([np.zeros(0), *(_error_mm(trace) for trace in traces)])
     known = known[np.isfinite(known)]
     scale = Normalize(0.0, float(np.percentile(known, SPANNED)) if len(known) else 1.0)
@@ -302,7 +302,7 @@ def residuals_in_time(traces: "Sequence[RunTrace]") -> Figure:
     """Draw residuals along each path, before (grey) and after: a row a run, a column a channel."""
     chosen = [_thinned(trace) for trace in traces if len(trace.seen) > 1][:MOST_RUNS]
     figure = canvas(1.45 * len(chosen) + 1.6)
-    grid = axes_grid(figure, len(chosen), 3, sharex=True, sharey="col")
+    grid = figure.subplots(len(chosen), 3, sharex=True, sharey="col", squeeze=False)
     limits = _limits(chosen)
     for place, (row, trace) in enumerate(zip(grid, chosen, strict=True)):
         for number, (axes, (title, unit, factor)) in enumerate(zip(row, CHANNELS, strict=True)):
@@ -333,13 +333,11 @@ def _limits(traces: "Sequence[RunTrace]") -> list[float]:
 def residuals_by_run(traces: "Sequence[RunTrace]") -> Figure:
     """Draw end residuals before and after, in the order driven, by kind of route."""
     figure = canvas(9.0)
-    grid = axes_grid(figure, 2, 3, sharex=True)
+    grid = figure.subplots(2, 3, sharex=True)
     kinds = style.named_groups(np.array([trace.kind for trace in traces]), "all runs")
     order = np.arange(1.0, len(traces) + 1)
-    for row, word, values in (
-        (grid[0], "before", [trace.residual_before[-1] for trace in traces]),
-        (grid[1], "after", [trace.residual_after[-1] for trace in traces]),
-    ):
+    for row, word in zip(grid, ("before", "after"), strict=True):
+        values = [getattr(trace, f"residual_{word}")[-1] for trace in traces]
         for axes, column, (title, unit, factor) in zip(row, np.transpose(values), CHANNELS, strict=True):
             style.draw_groups(axes, kinds, order, factor * column, marker="o", ms=2.8)
             axes.axhline(0.0, color=INK, lw=0.5)

@@ -164,7 +164,7 @@ def fleet_figures(fleet: Fleet) -> Drawings:
 @styled
 def _distribution(fitted: Sequence[VehicleRecord], odd: set[str]) -> Figure:
     figure = canvas(10.0)
-    grid = style.axes_grid(figure, 2, 2)
+    grid = figure.subplots(2, 2)
     marked = np.array([record.vehicle in odd for record in fitted])
     for column, side in enumerate(WHEELS):
         lines = [getattr(record, side) for record in fitted]

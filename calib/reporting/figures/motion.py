@@ -132,13 +132,8 @@ _AXES: Final = {
 }
 
 #: how the paths of a journey under a law are drawn
-_WITHOUT: Final[Any] = {
-    "color": ORANGE,
-    "linestyle": "--",
-    "linewidth": 1.3,
-    "label": "radii of the reference load, kept",
-}
-_WITH: Final[Any] = {"color": BLUE, "linestyle": "-", "linewidth": 1.3, "label": "radii that follow the load"}
+_WITHOUT: Final[Any] = {"color": ORANGE, "ls": "--", "lw": 1.3, "label": "radii of the reference load, kept"}
+_WITH: Final[Any] = {"color": BLUE, "ls": "-", "lw": 1.3, "label": "radii that follow the load"}
 
 
 @styled
@@ -164,11 +159,8 @@ def law_errors_figure(path: LawPath, *, title: str) -> Figure:
         graph.plot(path.distance_m, middle, **_WITH)
         graph.plot(path.distance_m, factor * getattr(path.without.errors, name), **_WITHOUT)
         _mark_changes(graph, path)
-    keys = [
-        Line2D([], [], **_WITHOUT),
-        Line2D([], [], **_WITH),
-        Patch(facecolor=SKY, alpha=0.5, label="its 2 standard uncertainties"),
-    ]
+    keys: list[Any] = [Line2D([], [], **look) for look in (_WITHOUT, _WITH)]
+    keys.append(Patch(facecolor=SKY, alpha=0.5, label="its 2 standard uncertainties"))
     if len(path.loading.from_m) > 1:
         keys.append(Line2D([], [], color=GREY, linestyle=":", label="the load changes"))
     figure.legend(handles=keys, loc="outside lower center", ncols=4)
@@ -195,7 +187,7 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
         place = (route.x_m[k], route.y_m[k])
         plan.add_patch(Ellipse(place, *size, angle=angle, facecolor=SKY, edgecolor=BLUE, alpha=0.6))
     plan.plot(path.without.poses.x_m, path.without.poses.y_m, **_WITHOUT)
-    plan.plot(route.x_m, route.y_m, **_WITH | {"linewidth": 2.6})
+    plan.plot(route.x_m, route.y_m, **_WITH | {"lw": 2.6})
     plan.plot(path.reference.x_m, path.reference.y_m, color=INK, linewidth=0.8, label="route")
     stops = np.searchsorted(path.distance_m, path.loading.from_m[1:] - 1e-9)
     if len(stops):

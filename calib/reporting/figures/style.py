@@ -48,23 +48,16 @@ def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return inner
 
 
-@cache
-def _style() -> Any:
-    return mpl.rc_params_from_file(Path(__file__).with_name("calib.mplstyle"), use_default_template=False)
+_STYLE: Final[Any] = mpl.rc_params_from_file(Path(__file__).with_name("calib.mplstyle"), use_default_template=False)
 
 
 def _rc() -> Any:
-    return {**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **_style()}
+    return {**mpl.rcParamsDefault, "backend": mpl.rcParams["backend"], **_STYLE}
 
 
 def canvas(height_cm: float, width_cm: float = WIDTH_CM) -> Figure:
     """Return an empty figure of a size given in cm; needs no display."""
     return Figure(figsize=(width_cm / CM_PER_INCH, height_cm / CM_PER_INCH), layout="constrained")
-
-
-def axes_grid(figure: Figure, rows: int, columns: int, **options: Any) -> Any:
-    """Return an array of axes, shape (rows, columns)."""
-    return figure.subplots(rows, columns, squeeze=False, **options)
 
 
 def figure_title(figure: Figure, text: str) -> None:
@@ -128,7 +121,7 @@ def panels(count: int, head_cm: float, row_cm: float, **options: Any) -> tuple[F
     columns = 2 if count in {2, 4} else min(3, max(count, 1))
     rows = max(-(-count // columns), 1)
     figure = canvas(head_cm + row_cm * rows)
-    axes = axes_grid(figure, rows, columns, **options)
+    axes = figure.subplots(rows, columns, squeeze=False, **options)
     for axis in axes.flat[count:]:
         axis.set_visible(False)
     return figure, axes

@@ -71,16 +71,16 @@ def diagnosis_content(verdict: Diagnosis, gap: "GapArrays | None" = None) -> tup
     return (
         verdict_notice(verdict),
         Text(blocks.paragraph("noise_level"), small=True),
-        *map_picture(gap),
+        *(map_picture(gap) if gap else ()),
         *findings.where_blocks(verdict.where),
-        *covariate_picture(gap, verdict),
+        *(covariate_picture(gap, verdict) if gap else ()),
         *findings.cause_blocks(verdict),
         *findings.confounded_blocks(verdict),
         *findings.closure_blocks(verdict),
-        *before_after_picture(gap),
+        *(before_after_picture(gap) if gap else ()),
         *findings.limit_blocks(verdict),
         *next_runs,
-        *items(map(prose, verdict.notes)),
+        *((Text("Notes:"), *items(map(prose, verdict.notes))) if verdict.notes else ()),
     )
 
 
@@ -88,24 +88,21 @@ def gap_section(verdict: Diagnosis, gap: "GapArrays | None" = None) -> Section:
     """Return a report's section on a diagnosis; `gap`: by default its own."""
     from calib.reporting.figures.gap import GapArrays
 
-    if gap is None and verdict.evidence is not None:
-        gap = GapArrays.of(verdict)
+    gap = gap or (None if verdict.evidence is None else GapArrays.of(verdict))
     return Section("Diagnosis of the gap", diagnosis_content(verdict, gap))
 
 
-def map_picture(gap: "GapArrays | None") -> list[Picture]:
+def map_picture(gap: "GapArrays") -> list[Picture]:
     """Return the gap on the floor plan."""
-    if gap is None or gap.offset_m is None:
+    if gap.offset_m is None:
         return []
     largest = length(float(np.nanmax(np.hypot(*gap.offset_m.T), initial=0.0)))
     alt = f"Floor plan of {len(gap.paths_m)} runs with the gap at their ends, at most {largest}"
     return [picture("gap-map", alt, "gap.gap_map", gap.paths_m, gap.offset_m, gap.labels["kind"])]
 
 
-def covariate_picture(gap: "GapArrays | None", verdict: Diagnosis) -> list[Picture]:
+def covariate_picture(gap: "GapArrays", verdict: Diagnosis) -> list[Picture]:
     """Return the channel furthest above its noise, against what varied."""
-    if gap is None:
-        return []
     from calib.reporting.figures.gap import MAX_PANELS, distinct, rms
 
     lines = sorted(verdict.where.covariates, key=lambda line: not line.significant)
@@ -134,9 +131,9 @@ def covariate_picture(gap: "GapArrays | None", verdict: Diagnosis) -> list[Pictu
     return [Picture("gap-by-covariate", caption("gap-by-covariate", title=title, aside=aside), alt, draw)]
 
 
-def before_after_picture(gap: "GapArrays | None") -> list[Picture]:
+def before_after_picture(gap: "GapArrays") -> list[Picture]:
     """Return every run's gap before and after the correction."""
-    if gap is None or not np.isfinite(gap.before).any():
+    if not np.isfinite(gap.before).any():
         return []
     from calib.reporting.figures.gap import rms
 
@@ -247,10 +244,8 @@ def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
     silent = items(f"{entry.effect.id}: {_why_no_form(entry)}" for entry in entries if entry.signature is None)
     own = (entry.effect for entry in entries if entry.effect.origin != LIBRARY)
     elsewhere = items(f"{effect.id}: from {effect.origin}" for effect in own)
-    content: list[Block] = [catalogue]
-    content += [Text(f"Without a form on {runs}:"), *silent] if silent else []
-    content += [Text("Not from the library:"), *elsewhere] if elsewhere else []
-    return tuple(content)
+    without = (Text(f"Without a form on {runs}:"), *silent) if silent else ()
+    return (catalogue, *without, *((Text("Not from the library:"), *elsewhere) if elsewhere else ()))
 
 
 def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:

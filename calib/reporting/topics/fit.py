@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
@@ -13,10 +13,8 @@ from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks, formatting
 from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, caption, drawn, items, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
+from calib.reporting.source import Source
 from calib.types import FloatArray, grouped
-
-if TYPE_CHECKING:
-    from calib.reporting.source import Source
 
 #: in the order of the report's pages
 FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "residuals", "budget")
@@ -60,7 +58,7 @@ def _compared(difference: Difference, name: str, factor: float, unit: str) -> tu
     return (f"{difference.wheel}: {name}", unit, *numbers, "inside" if difference.inside else "OUTSIDE")
 
 
-def result_section(source: "Source") -> Section:
+def result_section(source: Source) -> Section:
     """Return the laws in a table, and the checks' verdict."""
     fit = source.fit
     laws = [wheel.law for wheel in fit.wheels.values()]
@@ -93,7 +91,7 @@ def _listed(assumed: Mapping[str, str]) -> str:
     return ", ".join(f"{key} = {value}" if value else key for key, value in assumed.items())
 
 
-def diagnosis_section(source: "Source") -> Section | None:
+def diagnosis_section(source: Source) -> Section | None:
     """Return the findings of the diagnosis, if any."""
     if source.verdict is None:
         return None
@@ -102,7 +100,7 @@ def diagnosis_section(source: "Source") -> Section | None:
     return gap_section(source.verdict, source.gap)
 
 
-def _gap(source: "Source") -> tuple[Notice, ...]:
+def _gap(source: Source) -> tuple[Notice, ...]:
     if source.verdict is None and source.known_verdict is None:
         return ()
     from calib.reporting.topics.diagnosis import TITLES, page_one_notice, with_kind
@@ -133,27 +131,21 @@ MAX_REMARKS: Final = 3
 
 def checks_table(fit: Fit) -> Table:
     """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
-    by_name: dict[str, dict[tuple[str, str], dict[str, Check]]] = {}
-    for wheel, fitted in fit.wheels.items():
-        for check in fitted.checks:
-            by_name.setdefault(check.name, {}).setdefault((check.level, check.sentence), {})[wheel] = check
-    rows = [
-        (
-            name.replace("_", " "),
-            "both" if len(same) == 2 else next(iter(same)),
-            _LEVELS.get(level, level),
-            _statistics(list(same.values())),
-            " / ".join(dict.fromkeys(formatting.probability(check.p_value) for check in same.values())),
-            prose(sentence),
-        )
-        for name, results in by_name.items()
-        for (level, sentence), same in results.items()
-    ]
+    listed = [(wheel, check) for wheel, fitted in fit.wheels.items() for check in fitted.checks]
+    names = list(dict.fromkeys(check.name for _, check in listed))
+    alike = grouped(((names.index(one.name), one.level, one.sentence), (wheel, one)) for wheel, one in listed)
+    rows = []
+    for number, level, sentence in sorted(alike, key=lambda key: key[0]):
+        wheels, checks = zip(*dict(alike[number, level, sentence]).items(), strict=True)
+        chances = " / ".join(dict.fromkeys(formatting.probability(check.p_value) for check in checks))
+        whose = "both" if len(wheels) == 2 else wheels[0]
+        cells = (names[number].replace("_", " "), whose, _LEVELS[level], _statistics(checks), chances, prose(sentence))
+        rows.append(cells)
     heads = ("<Check", "<Wheel", "<Verdict", "*~Statistic", "~p", "*Meaning")
     return table(caption("table-checks"), heads, rows, dense=True)
 
 
-def _statistics(checks: list[Check]) -> str:
+def _statistics(checks: Sequence[Check]) -> str:
     known = [(one.statistic_name, one.statistic) for one in checks if one.statistic is not None and one.statistic_name]
     values = grouped((name, f"{value:.3g}".replace("-", "−")) for name, value in known)
     return prose("; ".join(f"{name} = {' / '.join(dict.fromkeys(each))}" for name, each in values.items()))
@@ -175,13 +167,13 @@ def usable_notice(fit: Fit) -> Notice:
     return Notice("good", "The law can be used", "Every check of the fit passed without remark.")
 
 
-def residuals_section(source: "Source") -> Section:
+def residuals_section(source: Source) -> Section:
     """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
     fit = source.fit
     return Section("Residual checks", (residuals_picture(fit), checks_table(fit)))
 
 
-def decision_section(source: "Source") -> Section:
+def decision_section(source: Source) -> Section:
     """Return the rule that judged the checks, and what was not judged."""
     tests = sum(check.p_value is not None for wheel in source.fit.wheels.values() for check in wheel.checks)
     false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
@@ -363,7 +355,7 @@ _OF_ONE_CHECK: Final = {"direction": "fit one way", "temperature": "fit varies"}
 
 def after_fit(fit: Fit) -> str:
     """Return the step that a fit was: runs are missing only where nothing else fails."""
-    failed = {check.name for wheel in fit.wheels.values() for check in wheel.checks if not check.passed}
+    failed = {check.name for _, check in fit.failed_checks}
     if len(failed) == 1 and (step := _OF_ONE_CHECK.get(*failed)):
         return step
     return "fit" if not failed else "fit lacks runs" if failed <= _OF_MISSING_RUNS else "fit failed"

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final
 
 from calib.campaign.checks.design import listed
 from calib.challenge.score import TARGETS, Score, clopper_pearson, wilson
-from calib.fleet.comparison import Population, shown_quantity
+from calib.fleet.comparison import Population, Quantities, shown_quantity
 from calib.fleet.run import Fleet, Survey
 from calib.reporting import blocks
 from calib.reporting.blocks import Block, Facts, Heading, Items, Picture, Table, table
@@ -82,23 +82,20 @@ def _pictures(fleet: Fleet) -> list[Picture]:
 
 
 def _of_survey(survey: Survey, *, page: bool) -> tuple[Block, ...]:
-    failed = [record for record in survey.records if record.status == "failed"]
+    failed = [f"{record.name}: {record.why}" for record in survey.records if record.status == "failed"]
     done = len(survey.records) - len(failed)
-    facts = [("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed")]
-    if not page:
-        facts.append(("now", f"{survey.n_done} done now, {survey.n_kept} kept from before"))
-    blocks: list[Block] = [Heading(f"Fleet: {survey.what}"), Facts(tuple(facts))]
-    blocks += [_verdicts(survey)] if done else []
-    quantities = survey.quantities
-    shared = [cause.sentence for cause in survey.shared]
-    if quantities is not None:
-        blocks += _populations(quantities.populations)
-        blocks += _counted("Outlying vehicles", [f"{one.vehicle}, {one.why}" for one in quantities.outliers])
-        shared += [difference.sentence for difference in quantities.common]
+    facts = (("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed"),)
+    now = (("now", f"{survey.n_done} done now, {survey.n_kept} kept from before"),)
+    found = survey.quantities or Quantities({}, (), ())
+    shared = [*(cause.sentence for cause in survey.shared), *(one.sentence for one in found.common)]
     return (
-        *blocks,
+        Heading(f"Fleet: {survey.what}"),
+        Facts(facts if page else facts + now),
+        *([_verdicts(survey)] if done else ()),
+        *_populations(found.populations),
+        *_counted("Outlying vehicles", [f"{one.vehicle}, {one.why}" for one in found.outliers]),
         *_counted(_COMMON, shared),
-        *_counted("Failed", [f"{record.name}: {record.why}" for record in failed]),
+        *_counted("Failed", failed),
     )
 
 

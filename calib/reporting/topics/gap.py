@@ -25,18 +25,14 @@ INTERVAL: Final = ("95 % interval | from", "95 % interval | to")
 
 def where_blocks(where: GapLocation) -> list[Block]:
     """Return where the gap lies, as tables and sentences."""
-    blocks: list[Block] = []
-    if where.channels:
-        blocks.append(_channels(where))
-    if where.significant:
-        blocks.append(_covariates(where))
-    blocks += [Text(prose(_place(line))) for line in where.places[:MAX_LINES]]
-    outstanding = [line for line in where.runs if abs(line.z) > OUTSTANDING_Z]
-    runs = list(dict.fromkeys(line.name for line in outstanding))[:MAX_RUNS]
-    if runs:
-        lines = (prose(_run(run, [line for line in outstanding if line.name == run])) for run in runs)
-        blocks += [Text("Runs with the largest gap:"), *items(lines)]
-    return blocks
+    outstanding = grouped((line.name, line) for line in where.runs if abs(line.z) > OUTSTANDING_Z)
+    lines = [prose(_run(run, of_run)) for run, of_run in outstanding.items()][:MAX_RUNS]
+    return [
+        *([_channels(where)] if where.channels else ()),
+        *([_covariates(where)] if where.significant else ()),
+        *(Text(prose(_place(line))) for line in where.places[:MAX_LINES]),
+        *([Text("Runs with the largest gap:"), *items(lines)] if lines else ()),
+    ]
 
 
 def _channels(where: GapLocation) -> Table:
@@ -80,25 +76,21 @@ def _place(line: PlaceResult) -> str:
 
 def closure_blocks(verdict: Diagnosis) -> list[Block]:
     """Return how far the gap shrinks and whether the fix is recommended."""
-    blocks: list[Block] = []
-    if verdict.causes and verdict.closure.channels:
-        blocks.append(_by_channel(verdict))
-    sentences = " ".join([_sentence(verdict) if verdict.causes else "", prose(advice(verdict))]).strip()
-    if sentences:
-        blocks.append(Text(sentences))
-    if paper := headline(verdict):
-        blocks.append(Text(prose(paper.sentence)))
-    fix = verdict.fix
+    fix, unexplained, paper = verdict.fix, verdict.unexplained, headline(verdict)
+    sentences = [" ".join([_sentence(verdict) if verdict.causes else "", prose(advice(verdict))]).strip()]
+    sentences += [prose(paper.sentence)] if paper else []
     if fix.agreement_m is not None:
         apart = f"{length(fix.agreement_m)} at the end of the {fix.agreement_on}"
-        blocks.append(Text(f"The corrections of the confounded causes differ by at most {apart}."))
-    if fix.transfer:
-        blocks.append(_transfer(verdict))
-    if verdict.unexplained is not None:
-        none = "No named cause" if verdict.causes else "No effect of the library"
-        blocks.append(Text(f"{none} explains {percent(verdict.unexplained.share)} of the gap."))
-        blocks += items(map(prose, verdict.unexplained.where))
-    return blocks
+        sentences.append(f"The corrections of the confounded causes differ by at most {apart}.")
+    none = "No named cause" if verdict.causes else "No effect of the library"
+    left = [Text(f"{none} explains {percent(unexplained.share)} of the gap.")] if unexplained else []
+    return [
+        *([_by_channel(verdict)] if verdict.causes and verdict.closure.channels else ()),
+        *map(Text, filter(None, sentences)),
+        *([_transfer(verdict)] if fix.transfer else ()),
+        *left,
+        *(items(map(prose, unexplained.where)) if unexplained else ()),
+    ]
 
 
 def _on_which_runs(closure: Closure) -> str:
@@ -188,15 +180,12 @@ def cause_blocks(verdict: Diagnosis) -> list[Block]:
 
 def confounded_blocks(verdict: Diagnosis) -> list[Block]:
     """Return the effects that these runs confound, and the credible sets of causes."""
-    blocks: list[Block] = []
-    if verdict.groups:
-        groups = items(", ".join(group) for group in verdict.groups[:MAX_CAUSES])
-        blocks += [Text("Confounded in these runs, since their signatures are the same:"), *groups]
+    groups = items(", ".join(group) for group in verdict.groups[:MAX_CAUSES])
     sets = [" + ".join(names) or "none" for names in verdict.credible_sets]
-    if len(sets) > 1:
-        more = f"; and {len(sets) - MAX_SETS} more" if len(sets) > MAX_SETS else ""
-        blocks.append(Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:MAX_SETS])}{more}."))
-    return blocks
+    more = f"; and {len(sets) - MAX_SETS} more" if len(sets) > MAX_SETS else ""
+    one_of = Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:MAX_SETS])}{more}.")
+    title = Text("Confounded in these runs, since their signatures are the same:")
+    return [*([title, *groups] if groups else ()), *([one_of] if len(sets) > 1 else ())]
 
 
 def limit_blocks(verdict: Diagnosis) -> list[Block]:

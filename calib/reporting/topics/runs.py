@@ -9,6 +9,7 @@ import numpy as np
 from calib.campaign.check import CheckReport
 from calib.campaign.checks.design import SIDES, listed
 from calib.campaign.model import Note
+from calib.campaign.settings import WHEEL_LOADS
 from calib.radius.deviation import RunDeviations, allowed_amplitude_m, radius_error
 from calib.radius.result import Fit
 from calib.reporting import blocks
@@ -21,19 +22,16 @@ from calib.types import FloatArray, grouped
 
 def sessions_table(fit: Fit) -> Table:
     """Return a row a session, for many runs."""
-    radii = fit.radii
     heads = ("^Loads | {} (N)", "Mean residual | {} (µm)", "Scatter | {} (µm)")
     rows = []
-    for name in dict.fromkeys(radii.session.tolist()):
-        on = radii.session == name
-        loads = (f"{part[on].min():.0f}–{part[on].max():.0f}" for part in (radii.load_left_N, radii.load_right_N))
-        pieces = [fit.left.residual_m[on], fit.right.residual_m[on]]
-        scatter = [float(np.std(part, ddof=1)) if len(part) > 1 else float("nan") for part in pieces]
-        sizes = (fixed(1e6 * part, 1) for part in (*(float(part.mean()) for part in pieces), *scatter))
-        rows.append((str(name), str(int(on.sum())), *loads, *sizes))
+    for name, part in fit.table.groupby("session", sort=False):
+        loads = (f"{part[load].min():.0f}–{part[load].max():.0f}" for load in WHEEL_LOADS)
+        left = part[["residual_left_m", "residual_right_m"]]
+        sizes = (fixed(1e6 * size, 1) for size in (*left.mean(), *left.std()))
+        rows.append((str(name), str(len(part)), *loads, *sizes))
     first = f", the first {results.MOST_ROWS} of {len(rows)}" if len(rows) > results.MOST_ROWS else ""
     columns = ("<Session", "Runs", *(head.format(wheel) for head in heads for wheel in SIDES))
-    title = caption("table-sessions", runs=len(radii), first=first)
+    title = caption("table-sessions", runs=len(fit.radii), first=first)
     return table(title, columns, rows[: results.MOST_ROWS], dense=True)
 
 

@@ -33,14 +33,14 @@ _FACTORS: Final = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global
 
 def simulation_content(simulation: Simulation) -> tuple[Block, ...]:
     """Return what a simulation says."""
-    blocks: list[Block] = [_sweep(name, sweep) for name, sweep in _sweeps(simulation)]
-    if simulation.headlines:
-        blocks.append(_headline(simulation))
-    if simulation.law is not None:
-        blocks += _law(simulation.law)
-        if len(simulation.law.path.loading.from_m) > 1:
-            blocks += _path(simulation.law.path, list(simulation.sweeps.values())[-1].route.name)
-    return tuple(blocks)
+    law = simulation.law
+    routes = [sweep.route.name for sweep in simulation.sweeps.values()]
+    return (
+        *(_sweep(name, sweep) for name, sweep in _sweeps(simulation)),
+        *([_headline(simulation)] if simulation.headlines else ()),
+        *(_law(law) if law else ()),
+        *(_path(law.path, routes[-1]) if law and len(law.path.loading.from_m) > 1 else ()),
+    )
 
 
 def _sweeps(simulation: Simulation) -> list[tuple[str, Sweep]]:

@@ -17,7 +17,7 @@ from calib.gap.decision.fix import noise_bounded
 from calib.gap.decision.held_out import Closure, Improvement
 from calib.gap.decision.kind import fails, is_shown, kind_of, no_mere_noise, scatters_alone, stands_off
 from calib.gap.decision.trials import Trial
-from calib.gap.inference.model_search import REPORTED_GAP_PROBABILITY
+from calib.gap.inference.thresholds import REPORTED_GAP_PROBABILITY
 from calib.gap.localise.locate import CovariateResult
 from calib.gap.observations.arrays import Channel
 from calib.types import IntArray
@@ -310,4 +310,23 @@ def test_no_cause_is_shown_where_runs_end_off_as_no_vehicle_does(
         trials=(),
     )
     given = (cast(Evidence, evidence), 1.0, [shown], None, [], {}, False)
+    assert decide._kind(*given) is kind
+
+
+@pytest.mark.parametrize(
+    ("improved", "kind"), [((-0.17, -0.04), VerdictKind.UNKNOWN), ((-0.17, 0.04), VerdictKind.PARTLY_EXPLAINED)]
+)
+def test_what_certainly_leads_held_out_runs_further_off_is_no_cause(
+    monkeypatch: pytest.MonkeyPatch, improved: tuple[float, float], kind: VerdictKind
+) -> None:
+    """Radii that followed a temperature, where one session's start was off: each other session ended further off."""
+    monkeypatch.setattr(decide, "misfit_of", lambda _: 0.001)
+    named = Cause("temperature_radius", "", "", 0.96, 0.76, 8.1, {"alpha": Quantity(1e-4, (5e-5, 1.5e-4), "1/K")})
+    closure = Closure(fraction=0.4, ci95=(-0.6, 1.2))
+    evidence = SimpleNamespace(
+        noise=SimpleNamespace(supported=True, dof=64.0),
+        held_out=SimpleNamespace(improvement=Improvement(1.33, 1.43, improved, (-0.6, 1.2)), closure=closure),
+        trials=(),
+    )
+    given = (cast(Evidence, evidence), 1.0, [named], None, [], {}, True)
     assert decide._kind(*given) is kind

@@ -17,17 +17,10 @@ from calib.campaign.model import Campaign
 from calib.challenge.cases import campaigns_of, truth_of
 from calib.challenge.seal import Seeds, read_seeds, recipes
 from calib.gap.decision import constancy
-from calib.gap.decision.constancy import (
-    FALSE_REJECTION,
-    SAME_SIZE_SD,
-    SizeDifference,
-    _difference,
-    beside_named_steps,
-    half_of_mean,
-    size_differences,
-)
+from calib.gap.decision.constancy import SizeDifference, _difference, beside_named_steps, half_of_mean, size_differences
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity
 from calib.gap.diagnose import diagnose_in_full
+from calib.gap.inference.thresholds import FALSE_REJECTION, FORM_ERROR
 
 #: cases of development, and the one of them that `tests.challenge.fixes` recommended a wrong fix for
 CASES = Seeds(
@@ -89,7 +82,7 @@ def test_the_p_value_is_that_of_the_sizes_that_a_regression_gives_each_group() -
     for row, value in enumerate(others):
         contrast[row, [place[value], place[found.reference]]] = 1.0, -1.0
     change = contrast @ each.params
-    spread = contrast @ (each.normalized_cov_params + np.diag([0.0, *3 * [SAME_SIZE_SD**2]])) @ contrast.T
+    spread = contrast @ (each.normalized_cov_params + np.diag([0.0, *3 * [FORM_ERROR**2]])) @ contrast.T
     statistic = float(change @ np.linalg.solve(spread, change))
     assert found.p_value == pytest.approx(chi2.sf(statistic, 2), rel=PRIOR_SHARE * statistic)
     assert found.ratio == pytest.approx(1.0 + change[others.index(found.value)], rel=PRIOR_SHARE)

@@ -21,7 +21,7 @@ from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.part import _parted, is_named_beside, sure_part
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.inference.local_search import EVEN_PROBABILITY
+from calib.gap.inference.thresholds import EVEN_PROBABILITY
 from tests.gap import workshop
 from tests.real import recordings
 from tests.real.manipulations import POSES
@@ -194,6 +194,21 @@ def test_a_fix_that_only_the_recalibration_keeps_back_is_judged_as_it_is_deliver
     assert armed.evidence is not None
     fix = sure_part(armed.evidence, Finding([arm], {arm.effect: arm.probability}), kept_back)
     assert fix.recommended and fix.corrects == (arm.effect,) and fix.why == () and fix.leaves == ()
+
+
+@pytest.mark.parametrize(("probability", "recommended"), [(0.38, True), (0.7, False)])
+def test_a_track_that_is_rather_not_off_holds_no_others_back(
+    armed: Diagnosis, probability: float, recommended: bool
+) -> None:
+    """A third cause of 0.38 and 5 % kept two of 0.96 back; what is rather off than not cannot be taken off a fit."""
+    (arm,) = armed.causes
+    track = replace(cause("track_width", signal=8.0, share=0.05), probability=probability)
+    found = Finding([arm, track], {arm.effect: 0.96, "track_width": probability})
+    whole = replace(armed.fix, recommended=False, corrects=None, why=("not all are probable",))
+    assert armed.evidence is not None
+    fix = sure_part(armed.evidence, found, whole)
+    assert fix.recommended is recommended
+    assert not recommended or (fix.corrects == (arm.effect,) and "0.38" in fix.leaves[0])
 
 
 @pytest.mark.parametrize("off", [0.0, 5e-3], ids=["at zero", "off"])

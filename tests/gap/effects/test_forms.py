@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.gap.effects.effect import Form, matching_form
 from calib.gap.effects.encoder import find_blunder
 from calib.gap.effects.floor import CELL_M, MAX_STRIPS
 from calib.gap.effects.library import library
@@ -333,3 +334,21 @@ def test_what_follows_speed_or_load_is_sought_on_slow_and_light_vehicles_alike(s
     assert [len(offered(two, effect)) for effect in ("speed_radius", "braking_skid")] == [1, 2]
     assert [len(offered(one, effect)) for effect in ("speed_radius", "braking_skid")] == [0, 1]
     assert offered(two, "load_radius") and offered(two, "load_dependent_track") and not offered(one, "load_radius")
+
+
+@pytest.mark.parametrize(
+    ("written", "offered", "acts"),
+    [
+        ("end pose and laser", ("end pose", "a clock at another rate"), "end pose"),
+        ("end pose and laser", ("laser",), "laser"),
+        ("position and heading", ("position alone",), "position alone"),
+        ("end pose and laser", ("end pose", "end pose and laser"), "end pose and laser"),
+        ("laser", ("end pose",), None),
+    ],
+)
+def test_a_form_of_two_readings_acts_on_the_one_that_runs_have(
+    written: str, offered: tuple[str, ...], acts: str | None
+) -> None:
+    """A delay found by end poses and laser was omitted on recordings, which have poses alone."""
+    found = matching_form([Form("reference_latency", label, (), lambda _: []) for label in offered], written, {})
+    assert (found and found.label) == acts

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from calib.gap.predict import predict
-from calib.gap.simulator.diagnose import _simulated_observations
 from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, differences_of
 from calib.gap.simulator.settings import RunCache, read_settings
 from calib.types import silent
@@ -71,6 +70,6 @@ def test_a_simulated_laser_reads_a_length_of_a_run_driven_backward_too() -> None
     measured = replace(measured, axis=np.full(9, 2.0))
     nominal = np.stack([np.abs(x_m), x_m, y_m, theta_rad], axis=1)
     runner = SimpleNamespace(run_ids=measured.labels["run_id"].tolist())
-    simulated = _simulated_observations(measured, Differences(runner, nominal, {}, {}, 0.0 * nominal, 1, axis=1.0))  # type: ignore[arg-type]
+    simulated = Differences(runner, nominal, {}, {}, 0.0 * nominal, 1, axis=1.0).simulated(measured)  # type: ignore[arg-type]
     # the wheels that an outside simulator implies are found to about a nanometre
     np.testing.assert_allclose(predict(simulated).reading[:, 0], np.abs(x_m), atol=1e-6)
