@@ -26,6 +26,7 @@ from calib.gap.inference.thresholds import (
     NOISE_LEVELS,
     SMALL_SHARE,
 )
+from calib.gap.localise.along_run import ON_THE_FLOOR
 from calib.gap.observations.arrays import Channel
 from calib.gap.predict import residuals
 from calib.types import FloatArray, StrArray
@@ -291,13 +292,13 @@ def unchecked(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, str]:
 
 
 def _at_a_place(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
-    """Return radii, which act along the whole way, where most of a route's gap opens on a stretch of it."""
+    """Return radii, which act along the whole way, where a route's gap opens at one place, out and back."""
     seen, gap = evidence.observations, residuals(evidence.nominal, evidence.nominal)
     found: dict[str, str] = {}
     for place in evidence.where.places:
         name = {Channel.ALONG: RadiusScale.id, Channel.HEADING: UnequalRadii.id}.get(place.channel, "")
         on = (seen.labels["kind"] == place.route) & seen.usable[:, place.channel]
-        if place.place is None or name not in names or not on.any() or name in found:
+        if not place.place or place.coordinate != ON_THE_FLOOR or name not in names or not on.any():
             continue
         if abs(place.size) > HALF_CLOSURE * float(np.abs(gap[on, place.channel]).mean()):
             first, last = place.place

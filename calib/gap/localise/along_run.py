@@ -48,6 +48,8 @@ class PlaceResult:
         return {key: value for key, value in document.items() if key not in absent}
 
 
+#: what counts the place of a stretch that is driven out and back
+ON_THE_FLOOR: Final = "x on the floor"
 #: chance of any false finding in a table
 FALSE_FINDING_PROBABILITY: Final = 0.05
 BOOTSTRAP_DRAWS: Final = 300
@@ -212,7 +214,7 @@ def scan_route(
         where="joint" if place[1] - place[0] <= 2 * route.spacing_m else "zone",
         channel=channel,
         route=kind,
-        coordinate="x on the floor" if route.on_floor else "way from the start",
+        coordinate=ON_THE_FLOOR if route.on_floor else "way from the start",
         place=place,
         place_ci95=(first, last),
         by_direction=signed,

@@ -11,7 +11,7 @@ import pytest
 import calib
 from calib.gap.decision import constancy
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.localise.along_run import PlaceResult
+from calib.gap.localise.along_run import ON_THE_FLOOR, PlaceResult
 from calib.gap.observations.arrays import Channel
 from tests.gap import route_offsets
 
@@ -62,14 +62,22 @@ def test_no_offsets_are_no_gap(tmp_path: Path) -> None:
     assert diagnose_in_full(calib.read(made), plan=False).kind == "no_gap"
 
 
-@pytest.mark.parametrize(("opens_m", "named"), [(8.45e-3, ["radius_scale"]), (2e-3, [])])
-def test_a_gap_that_opens_on_a_stretch_is_no_radius(
-    monkeypatch: pytest.MonkeyPatch, opens_m: float, named: list[str]
+@pytest.mark.parametrize(
+    ("opens_m", "counted", "named"),
+    [
+        (8.45e-3, ON_THE_FLOOR, ["radius_scale"]),
+        (2e-3, ON_THE_FLOOR, []),
+        (8.45e-3, "way from the start", []),  # one way: also what speeding up does
+    ],
+)
+def test_a_gap_that_opens_at_one_place_out_and_back_is_no_radius(
+    monkeypatch: pytest.MonkeyPatch, opens_m: float, counted: str, named: list[str]
 ) -> None:
     """A floor that took 8.4 mm of a corridor between 6 and 8.25 m was corrected as a radius of all routes."""
     place = PlaceResult(
-        "zone", Channel.ALONG, opens_m, (opens_m, opens_m), "m", 1e-19, 20, route="corridor", place=(6.0, 8.25)
-    )
+        "zone", Channel.ALONG, opens_m, (opens_m, opens_m), "m", 1e-19, 20,
+        route="corridor", place=(6.0, 8.25), coordinate=counted,
+    )  # fmt: skip
     gap = np.zeros((4, 6))
     gap[:, Channel.ALONG] = 8.7e-3
     monkeypatch.setattr(constancy, "residuals", lambda *_: gap)
