@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 from calib import __version__
 from calib.campaign.model import Campaign
-from calib.campaign.read import read_campaign
 from calib.documents import to_json
 from calib.errors import BadFileError, RefusedError, refuse_other_than_date
 from calib.io import inside
-from calib.radius.result import Fit, Setup, is_result, provenance, read_result
 from calib.reporting.blocks import catalogue
 from calib.types import Progress, silent
 
 if TYPE_CHECKING:
     from calib.coefficients.file import CoefficientFile
     from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+    from calib.radius.result import Fit, Setup
     from calib.reporting.figures.gap import GapArrays
 
 #: a PDF carries no earlier date of creation
@@ -33,7 +32,7 @@ SURE_FROM: Final = 0.9
 class Source:
     """Input of all pages."""
 
-    fit: Fit
+    fit: "Fit"
     #: the law as the vehicle gets it; attached to the PDF
     coefficients: "CoefficientFile"
     #: YYYY-MM-DD
@@ -49,7 +48,7 @@ class Source:
     known_verdict: "tuple[VerdictKind, str] | None" = None
 
     @property
-    def setup(self) -> Setup:
+    def setup(self) -> "Setup":
         """Vehicle, instruments and conditions; a fit without them is refused."""
         assert self.fit.setup is not None
         return self.fit.setup
@@ -89,14 +88,17 @@ def issue_date(text: str | None) -> str:
     return text
 
 
-def opened(path: Path, *, progress: Progress = silent) -> Fit | Campaign:
+def opened(path: Path, *, progress: Progress = silent) -> "Fit | Campaign":
     """Return the fit of a result folder or its ``fit.json``, or else the campaign of a folder."""
+    from calib.campaign.read import read_campaign
+    from calib.radius.result import is_result, read_result
+
     if not path.exists():
         raise BadFileError(path, "nothing", "a campaign folder or a result folder of calib fit", "give the path of one")
     return read_result(path) if is_result(path) else read_campaign(path, progress=progress)
 
 
-def source_of(given: Fit | Campaign, *, issued: str, accept: str = "", where: Path | None = None) -> Source:
+def source_of(given: "Fit | Campaign", *, issued: str, accept: str = "", where: Path | None = None) -> Source:
     """Return what a report on a fit is made from, or on a campaign, which is fitted now; it has no diagnosis.
 
     `issued`: date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same;
@@ -104,6 +106,7 @@ def source_of(given: Fit | Campaign, *, issued: str, accept: str = "", where: Pa
     """
     from calib.coefficients.build import from_fit
     from calib.radius.fit import fit_campaign
+    from calib.radius.result import provenance
 
     if isinstance(given, Campaign):
         fit, where, inputs = fit_campaign(given), given.root, given.hashes

@@ -3,15 +3,17 @@
 import importlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.readers.recording import Recording, Stream
 from calib.campaign.readers.table import GAP_STEPS, NS_PER_S, Layout, RawTable, Wanted
 from calib.errors import BadFileError
 from calib.types import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from calib.campaign.readers.recording import Recording, Stream
 
 __all__ = [
     "READERS", "Layout", "RawTable", "Wanted", "holds_recording", "is_bag_folder", "joined_table", "read_recording",
@@ -48,7 +50,7 @@ def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Lay
     return table
 
 
-def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None = None) -> Recording:
+def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None = None) -> "Recording":
     """Read a recording: a ROS bag, TDMS, ``.mat`` or trajectory file.
 
     See `read_table`; a `WantedColumns` lets whole topics be passed over. Raises BadFileError also of a table.
@@ -57,7 +59,7 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
     return recording
 
 
-def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
+def interpolated(stream: "Stream", column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
     """Return a column at other times, (n_times,), NaN outside the span and in gaps.
 
     `shift_ns`: the stream's lag, taken off first.
@@ -77,8 +79,8 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int 
 
 
 def joined_table(
-    recording: Recording,
-    base: Stream | None = None,
+    recording: "Recording",
+    base: "Stream | None" = None,
     shifts_s: Mapping[str, float] | None = None,
     clock: bool = True,
 ) -> RawTable:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,8 +13,10 @@ from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import blocks, formatting
 from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, caption, drawn, items, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
-from calib.reporting.source import Source
 from calib.types import FloatArray, grouped
+
+if TYPE_CHECKING:
+    from calib.reporting.source import Source
 
 #: in the order of the report's pages
 FIT_PICTURES: Final = ("runs-by-series", "regressions", "path-deviation", "residuals", "budget")
@@ -58,7 +60,7 @@ def _compared(difference: Difference, name: str, factor: float, unit: str) -> tu
     return (f"{difference.wheel}: {name}", unit, *numbers, "inside" if difference.inside else "OUTSIDE")
 
 
-def result_section(source: Source) -> Section:
+def result_section(source: "Source") -> Section:
     """Return the laws in a table, and the checks' verdict."""
     fit = source.fit
     laws = [wheel.law for wheel in fit.wheels.values()]
@@ -91,7 +93,7 @@ def _listed(assumed: Mapping[str, str]) -> str:
     return ", ".join(f"{key} = {value}" if value else key for key, value in assumed.items())
 
 
-def diagnosis_section(source: Source) -> Section | None:
+def diagnosis_section(source: "Source") -> Section | None:
     """Return the findings of the diagnosis, if any."""
     if source.verdict is None:
         return None
@@ -100,7 +102,7 @@ def diagnosis_section(source: Source) -> Section | None:
     return gap_section(source.verdict, source.gap)
 
 
-def _gap(source: Source) -> tuple[Notice, ...]:
+def _gap(source: "Source") -> tuple[Notice, ...]:
     if source.verdict is None and source.known_verdict is None:
         return ()
     from calib.reporting.topics.diagnosis import TITLES, page_one_notice, with_kind
@@ -167,13 +169,13 @@ def usable_notice(fit: Fit) -> Notice:
     return Notice("good", "The law can be used", "Every check of the fit passed without remark.")
 
 
-def residuals_section(source: Source) -> Section:
+def residuals_section(source: "Source") -> Section:
     """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
     fit = source.fit
     return Section("Residual checks", (residuals_picture(fit), checks_table(fit)))
 
 
-def decision_section(source: Source) -> Section:
+def decision_section(source: "Source") -> Section:
     """Return the rule that judged the checks, and what was not judged."""
     tests = sum(check.p_value is not None for wheel in source.fit.wheels.values() for check in wheel.checks)
     false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
