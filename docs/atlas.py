@@ -17,14 +17,14 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.gap.effects.effect import Effect
+from calib.gap.effects import Effect
 from calib.gap.effects.library import REGISTRY, EffectSignature, signature_of
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan.planned_runs import Dimensions, Measured, PlannedRun, drive
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
+from calib.reporting.figures import render
 from calib.reporting.figures.gap import signature_figure
-from calib.reporting.figures.style import render
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "effects"

@@ -19,7 +19,7 @@ def on_page_markdown(markdown: str, page: object, **_: object) -> str:
 
 def reference() -> str:
     """Return a section for each command: its summary, and its help as a terminal shows it."""
-    from calib.cli.commands import COMMANDS, SUMMARIES
+    from calib.cli import COMMANDS, SUMMARIES
 
     return "\n".join(f"## calib {name}\n\n{SUMMARIES[name]}\n\n```text\n{help_of(name)}\n```\n" for name in COMMANDS)
 

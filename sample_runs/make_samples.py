@@ -18,9 +18,9 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.campaign.tables import write_campaign
 from calib.vehicle import Vehicle, wheel_loads_N
 
 SEED: Final = 20190615

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
-from calib.campaign.tables import write_campaign
+from calib.plant import Cause, Noise
 from calib.plant.design import Design
 from calib.plant.make import make_campaign
 from calib.plant.signal import rivals, strengths
-from calib.plant.world import Cause, Noise
 from calib.vehicle import Vehicle
 
 HERE = Path(__file__).resolve().parent

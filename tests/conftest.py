@@ -84,7 +84,7 @@ def shared_data() -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set a blank picture for each figure of a page: what it shows is the tests' of figures and pages."""
-    monkeypatch.setattr("calib.reporting.blocks.Picture.svg", BLANK)
+    monkeypatch.setattr("calib.reporting.Picture.svg", BLANK)
 
 
 @pytest.fixture(scope="session")

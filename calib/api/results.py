@@ -349,8 +349,8 @@ def diagnose(
     refuse_below(1, workers=workers)
     campaign = opened(campaign)
     if simulator is not None:
+        from calib.gap.simulator import read_settings
         from calib.gap.simulator.diagnose import diagnose_simulator
-        from calib.gap.simulator.settings import read_settings
 
         if (beside := model or journeys) is not None:
             raise BadInputError(

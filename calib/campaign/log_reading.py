@@ -129,8 +129,7 @@ def read_logs(
             stack.add(index, log.columns)
         else:
             border.fault(log.error, "unreadable_log", run_id)
-    names = {index: (run_id, name) for index, run_id, _, name in files}
-    return stack.finished(encoder, names, border), hashes
+    return stack.finished(encoder, {index: (run_id, name) for index, run_id, _, name in files}, border), hashes
 
 
 def _read_all(files: Sequence[LogFile]) -> Iterator[_ReadLog]:

@@ -64,7 +64,8 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list
             twice = f"{relative}, which row {taken[path]} names too"
             border.fault(fault(twice, "a log of its own for each run", "correct the path", row), "shared_log", run_id)
         taken.setdefault(path, row)
-        if relative not in plain and not _is_file(path):
+        # the file system may not hold such a name
+        if relative not in plain and not os.path.isfile(path):  # noqa: PTH113
             missing = f"{relative}, which is {'a folder' if path.is_dir() else 'not there'}"
             remedy = "put the file there, or leave the cell empty"
             border.fault(fault(missing, "a log file", remedy, row), "missing_log", run_id)
@@ -79,13 +80,6 @@ def _plain_logs(folder: Path) -> dict[str, Path]:
         if not logs.is_symlink():
             return {f"logs/{one.name}": logs / one.name for one in entries if one.is_file(follow_symlinks=False)}
     return {}
-
-
-def _is_file(path: Path) -> bool:
-    # the file system may not hold such a name
-    with suppress(OSError):
-        return path.is_file()
-    return False
 
 
 #: run number, run id, path, and its name in messages
@@ -296,15 +290,13 @@ class LogStack:
             if (column := self._columns.pop(name, None)) is None:
                 continue
             column.resize(self._size, refcheck=False)
-            bits = None
             # no wheel is steered half a turn between two samples: the sensor starts again at zero
             jumps = name == "steer_rad" and bool((np.abs(_steps(column, offsets)) > np.pi).any())
             if jumps and np.nanmin(column) >= 0.0 and np.nanmax(column) <= FULL_TURN_RAD:
                 column = np.where(column > np.pi, column - 2.0 * np.pi, column)
                 border.say("logs, column steer_rad", "angles from 0 to 2 pi were counted about zero", "wrap")
-            if name.startswith("counts_"):
-                bits = encoder.wrap_bits or detect_wrap_bits(column, offsets, columns.get("t_s"))
-            if bits is not None and len(column):
+            counted = len(column) and name.startswith("counts_")
+            if counted and (bits := encoder.wrap_bits or detect_wrap_bits(column, offsets, columns.get("t_s"))):
                 column, wraps = unwrap(column, offsets, bits)
                 for run in np.flatnonzero(wraps):
                     run_id, shown = names[int(run)]

@@ -10,13 +10,13 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign import run_table
 from calib.campaign.log_reading import read_logs
 from calib.campaign.logs import log_files
 from calib.campaign.model import REFERENCE_POSE, SIMULATED_POSE, Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, is_bag_folder, read_table
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.settings_file import read_settings
-from calib.campaign.tables import run_table
 from calib.campaign.wheels import SPEEDS, WHEEL_COLUMNS, counted_source, on_one_axle, with_counts
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import inside, settle, sha256_file

@@ -1,1 +1,254 @@
-"""A blind check of the diagnosis: sealed cases, a runner that never opens the truth, a score."""
+"""A blind check of the diagnosis: sealed cases, a runner that never opens the truth, a score.
+
+Here a sealed set from a seeds file: campaigns, and all truths apart in a file whose hash is stored.
+"""
+
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, TypeVar, get_args
+
+import numpy as np
+from pydantic import Field, TypeAdapter, ValidationError
+
+from calib.campaign import write_campaign
+from calib.campaign.settings_file import load_toml
+from calib.challenge.cases import Recipe, Truth, campaigns_of, truth_of
+from calib.documents import plain, to_json
+from calib.errors import CASES, BadFileError, RefusedError, refuse_beyond, refuse_workers
+from calib.fleet.workers import engine
+from calib.io import refuse_existing, sha256_file, write_text
+from calib.plant.design import DESIGNS
+from calib.plant.effects import ALL, forms_of
+from calib.plant.signal import CALIBRATION
+from calib.types import Progress, silent
+
+Group = Literal["empty", "calibration", "single", "natural", "pair", "outside", "alias", "deleted", "crowded"]
+GROUPS: Final[tuple[Group, ...]] = get_args(Group)
+SIGNALS: Final = (3.0, 5.0, 10.0, 25.0)
+_FORMAT: Final = "calib-challenge-seeds/1"
+_EXPECTED: Final = f"a whole number as seed, max_runs of 20 or more, and in [cases] counts of {', '.join(GROUPS)}"
+_REMEDY: Final = "compare with calib/challenge/seeds/development.toml"
+_GROSS: Final = ("encoder_gross", "integration_scheme")
+
+_OUTSIDE: Final = [form.effect for form in ALL if form.effect.startswith("outside:")]
+#: for pairs: effects that leave different things behind
+_PAIRED: Final = (
+    "load_radius", "temperature_radius", "speed_radius", "travel_direction", "curve_scrub", "load_dependent_track",
+    "rangefinder_scale", "reference_yaw", "lost_counts", "payload_position", "rear_drag", "wear", "load_creep",
+    "reference_lever_arm", "session_step", "curve_load_transfer",
+)  # fmt: skip
+
+#: exact aliases: truth, design, and what it cannot be told from there
+_ALIASES: Final[tuple[tuple[str, str, tuple[str, ...]], ...]] = (
+    ("radius_scale", "laser_only", ("rangefinder_scale", "beam_misalignment")),
+    ("rangefinder_scale", "laser_only", ("radius_scale", "beam_misalignment")),
+    ("beam_misalignment", "good", ("rangefinder_scale",)),
+    ("lost_counts/constant", "good", ("unequal_radii", "radius_scale")),
+    ("load_radius", "load_a_session", ("session_step",)),
+    ("travel_direction", "corridor_only", ("floor_slope",)),
+    ("floor_slope", "corridor_only", ("travel_direction",)),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Seeds:
+    """A seeds file."""
+
+    purpose: str  #: ``development``, ``scoring`` or ``ci``
+    seed: Annotated[int, Field(strict=True, ge=0)]
+    cases: dict[Group, Annotated[int, Field(strict=True, ge=0)]]
+    max_runs: Annotated[int, Field(strict=True, ge=20)] = 160
+
+
+def read_seeds(path: Path) -> Seeds:
+    """Read a seeds file; raises BadFileError."""
+    data = load_toml(path, str(path), remedy="give one of calib/challenge/seeds")
+    if data.pop("format", None) != _FORMAT:
+        raise BadFileError(path, column="format", found="another format", expected=_FORMAT, remedy=_REMEDY)
+    try:
+        seeds = TypeAdapter(Seeds).validate_python({"purpose": "", **data})
+    except ValidationError as error:
+        first = error.errors()[0]
+        where, found = ".".join(str(part) for part in first["loc"] if part != "[key]"), f"{first['input']!r:.80}"
+        raise BadFileError(path, found, _EXPECTED, _REMEDY, column=where) from error
+    total = sum(seeds.cases.values())
+    refuse_beyond(total, CASES, shown=str(path), what="cases", remedy="make several sets", column="cases")
+    return seeds
+
+
+def _library() -> list[str]:
+    known = (form.effect for form in ALL if form.effect not in (*CALIBRATION, *_GROSS))
+    names = dict.fromkeys(name for name in known if not name.startswith("outside:"))
+    covariates = [name for name in names if name.startswith("covariate:")]
+    return [name for name in names if name not in covariates[1:]]
+
+
+def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
+    faults = [(f"{form.effect}/{form.form}", float("nan")) for name in _GROSS for form in forms_of(name)]
+    strong: list[tuple[str, float]] = []
+    for turn, signal in enumerate((*SIGNALS, 10.0, 25.0)):
+        for place, name in enumerate(_library()):
+            # constant lost counts have their own group
+            forms = [item.form for item in forms_of(name) if (name, item.form) != ("lost_counts", "constant")]
+            strong.append((f"{name}/{forms[(turn + place) % len(forms)]}", signal))
+    if count < len(strong) + len(faults):
+        names = [str(item) for item in rng.permutation(_library())]
+        return [(names[n % len(names)], (10.0, 25.0, 25.0, 10.0, 5.0, 3.0)[n % 6]) for n in range(count)]
+    whole = strong + faults
+    return [whole[number % len(whole)] for number in range(count)]
+
+
+def _of_group(group: Group, count: int, rng: np.random.Generator) -> list[Recipe]:
+    case = partial(Recipe, "", 0, group)
+    if group == "single":
+        return [case((name,), (signal,)) for name, signal in _singles(count, rng)]
+    names = [*_library(), *CALIBRATION] if group == "deleted" else _library()
+    if group == "natural" or (group == "deleted" and count < len(names)):
+        names = list(map(str, rng.permutation(names)))
+
+    def made(n: int) -> Recipe:
+        name = names[n % len(names)]
+        if group == "empty":
+            return case(design="good" if n % 5 < 3 else DESIGNS[(n // 5 * 2 + n % 5 - 3) % 4])
+        if group == "calibration":
+            return case((CALIBRATION[n % 3],), ((5.0, 10.0, 25.0, 100.0, 250.0)[n // 3 % 5],))
+        if group == "natural":
+            return case((name,), (float("nan"),))
+        if group == "pair":
+            pair = tuple(map(str, rng.choice(_PAIRED, 2, replace=False)))
+            return case(pair, ((15.0, 15.0), (25.0, 12.0))[n % 2])
+        if group == "outside":
+            return case((_OUTSIDE[n % len(_OUTSIDE)],), ((25.0, 10.0)[n // len(_OUTSIDE) % 2],))
+        if group == "alias":
+            effect, design, others = _ALIASES[n % len(_ALIASES)]
+            return case((effect,), ((25.0, 12.0)[n // len(_ALIASES) % 2],), design, others)
+        if group == "crowded":
+            return case(*_crowd(n, rng))
+        return case((name,), (25.0,), deleted=name)
+
+    return [made(n) for n in range(count)]
+
+
+def _crowd(number: int, rng: np.random.Generator) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    drawn = rng.choice([*_PAIRED, "unequal_radii", "track_width"], 3 + number % 4, replace=False)
+    signals = np.exp(rng.uniform(np.log(5.0), np.log(100.0), len(drawn)))
+    targets = (*(round(float(signal), 1) for signal in signals), float(rng.choice([5.0, 10.0, 15.0])))
+    return (*map(str, drawn), _OUTSIDE[number % len(_OUTSIDE)]), targets
+
+
+def recipes(seeds: Seeds, limit: int | None = None) -> list[Recipe]:
+    """Return the first `limit` cases of a seeds file, shuffled: names say nothing."""
+    listed: list[Recipe] = []
+    for number, group in enumerate(GROUPS):
+        listed += _of_group(group, seeds.cases.get(group, 0), np.random.default_rng([seeds.seed, number]))
+    order = np.random.default_rng([seeds.seed, 999]).permutation(len(listed))
+    kept = order if limit is None else order[:limit]
+    return [replace(listed[int(n)], case=f"c{place + 1:04d}", number=int(n)) for place, n in enumerate(kept)]
+
+
+PUBLIC: Final = "challenge.json"
+HASH: Final = "truth.sha256"
+_PUBLIC_FORMAT: Final = "calib-challenge/1"
+TRUTH_FORMAT: Final = "calib-challenge-truth/1"
+
+#: a batch has one case
+WEIGHT: Final = 64
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True)
+class Sealed:
+    """What was made."""
+
+    folder: Path
+    truth: Path
+    sha256: str
+    cases: int
+
+
+def truth_path(folder: Path) -> Path:
+    """Return where the truth of a set lies by default: beside its folder."""
+    if folder.name in {"", ".."}:
+        folder = Path(os.path.abspath(folder))  # noqa: PTH100  (a link to a set is not followed)
+    return folder.parent / f"{folder.name}.truth.json"
+
+
+def each(work: Callable[[T], R], items: Sequence[T], workers: int, tick: Callable[[int], None]) -> list[R]:
+    """Return the work on each item, in order; `tick` gets how many are done."""
+    refuse_workers(workers)
+    results: dict[int, R] = {}
+    numbered = list(enumerate(items))
+    with engine(workers) as opened:
+        for number, result in opened.run(partial(_worked, work), numbered, _died, lambda _item: WEIGHT):
+            results[number] = result
+            tick(len(results))
+    return [results[number] for number in range(len(items))]
+
+
+def _worked(work: Callable[[T], R], items: Sequence[tuple[int, T]]) -> list[tuple[int, R]]:
+    return [(number, work(item)) for number, item in items]
+
+
+def _died(item: tuple[int, T], why: str) -> tuple[int, R]:
+    raise RefusedError(f"item {item[0] + 1}: {why}")
+
+
+def _write_one(folder: Path, truth: Truth) -> None:
+    digits = {"t_s": 3, "steer_rad": 4, "ref_x_m": 5, "ref_y_m": 5, "ref_theta_rad": 5}
+    for kind, campaign in zip(("cases", "fresh"), campaigns_of(truth), strict=True):
+        write_campaign(campaign, folder / kind / truth.recipe.case, force=True, log_decimals=digits)
+
+
+def make(
+    seeds_file: Path,
+    folder: Path,
+    limit: int | None = None,
+    truth_file: Path | None = None,
+    *,
+    workers: int = 2,
+    force: bool = False,
+    progress: Progress = silent,
+    sealed: Callable[[str], None] = lambda _digest: None,
+) -> Sealed:
+    """Make a sealed set of the first `limit` cases of a seeds file; see `truth_path`.
+
+    `sealed` gets the hash before any campaign is driven.
+    """
+    truth_file = truth_file or truth_path(folder)
+    refuse_existing([folder / PUBLIC, truth_file], force=force)
+    seeds = read_seeds(seeds_file)
+    wanted = recipes(seeds, limit)
+    draw = partial(truth_of, seed=seeds.seed, max_runs=seeds.max_runs)
+    truths = each(draw, wanted, workers, lambda done: progress(done, len(wanted), "truths"))
+    sealed_cases = {truth.recipe.case: plain(truth) for truth in truths}
+    content = {"format": TRUTH_FORMAT, "purpose": seeds.purpose, "cases": sealed_cases}
+    write_text(truth_file, to_json(content), force=force)
+    digest = sha256_file(truth_file)
+    write_text(folder / HASH, f"{digest}  {truth_file.name}\n", force=True)
+    sealed(digest)
+    each(partial(_write_one, folder), truths, workers, lambda done: progress(done, len(wanted), "campaigns"))
+    cases = {recipe.case: {"exclude": [recipe.deleted] if recipe.deleted else []} for recipe in wanted}
+    public = {"format": _PUBLIC_FORMAT, "purpose": seeds.purpose, "truth_sha256": digest, "cases": cases}
+    write_text(folder / PUBLIC, to_json(public), force=True)
+    return Sealed(folder, truth_file, digest, len(truths))
+
+
+def read_public(folder: Path) -> Mapping[str, Any]:
+    """Return what a set says openly; see `make`."""
+    path = folder / PUBLIC
+    try:
+        if path.exists() and not path.is_file():
+            raise OSError("no regular file")
+        data: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadFileError(path, str(error), "a set made by 'calib challenge make'", "make one first") from error
+    if not isinstance(data, dict) or data.get("format") != _PUBLIC_FORMAT or not isinstance(data.get("cases"), dict):
+        found = f"another format ({data.get('format') if isinstance(data, dict) else type(data).__name__})"
+        raise BadFileError(path, found, _PUBLIC_FORMAT, "make the set again with this version")
+    return data

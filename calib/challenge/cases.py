@@ -12,11 +12,11 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
+from calib.plant import Cause, Noise, random_noise
 from calib.plant.design import Design, good_design, poor_design
 from calib.plant.effects import find
 from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
-from calib.plant.world import Cause, Noise, random_noise
 from calib.types import FloatArray, grouped
 
 _UNSIGNED: Final = ("encoder_gross", "integration_scheme")
@@ -159,9 +159,9 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
 def _ceilings(among: Alternatives, recipe: Recipe, seed: int) -> list[Ceiling | None]:
     known, signal, cause = signatures(among), recipe.targets[0], among.cause
     drawn, drawn_of_own = (np.random.default_rng([seed, recipe.number, stream]) for stream in (3, 4))
-    best, own = ceiling_of(known, signal, drawn, one_sign=ONE_SIGN), None
+    best, own = ceiling_of(known, signal, drawn), None
     if not is_calibration(cause):
-        own = ceiling_of(known, signal, drawn_of_own, (cause.effect, among.left(0)), one_sign=ONE_SIGN)
+        own = ceiling_of(known, signal, drawn_of_own, (cause.effect, among.left(0)))
     return [one and Ceiling(round(one.free, 3), round(one.gated, 3)) for one in (best, own)]
 
 
@@ -194,39 +194,24 @@ def ceiling_of(
     signal: float,
     rng: np.random.Generator,
     true: tuple[str, FloatArray] | None = None,
-    *,
-    one_sign: Sequence[str] = (),
-    draws: int = DRAWS,
 ) -> Ceiling | None:
     """Return the ceiling of a campaign of equally likely effects, or of one of them; None where nothing is left.
 
-    Parameters
-    ----------
-    signatures : mapping of str to sequence of array
-        See `calib.plant.signal.signatures`.
-    signal : float
-        Norm of the true effect.
-    rng : Generator
-        Draws effect and noise.
-    true : (str, array), optional
-        The effect, and what it leaves in this case (n_rows,): how often the same rule names it; exact aliases share.
-    one_sign : sequence of str
-        See `ONE_SIGN`.
-    draws : int
-        How many.
+    `signatures`: see `calib.plant.signal.signatures`; `signal`: norm of the true effect; `true`: the effect, and what
+    it leaves in this case (n_rows,): how often the same rule names it; exact aliases share.
     """
     if true is not None and true[0] not in signatures:
         signatures = {**signatures, true[0]: [true[1][:, None]]}
-    spaces = _spaces(signatures, one_sign)
+    spaces = _spaces(signatures)
     if not spaces:
         return None
     every = [space.basis for space in spaces] + ([] if true is None else [true[1][:, None]])
     frame, _ = np.linalg.qr(np.concatenate(every, axis=1))
     present = sorted({space.effect for space in spaces})
     spaces = [_Space(present.index(s.effect), frame.T @ s.basis, s.one_sign) for s in spaces]
-    noise = rng.standard_normal((2, draws, frame.shape[1]))
+    noise = rng.standard_normal((2, DRAWS, frame.shape[1]))
     if true is None:
-        drawn = rng.integers(len(present), size=draws)
+        drawn = rng.integers(len(present), size=DRAWS)
         shown = np.stack([_direction(spaces, int(effect), rng) for effect in drawn])
     else:
         shown = (true[1] @ frame) / np.linalg.norm(true[1])
@@ -241,7 +226,7 @@ def ceiling_of(
     return Ceiling(float(hit.mean()), float((hit * passed).mean()))
 
 
-def _spaces(signatures: Mapping[str, Sequence[FloatArray]], one_sign: Sequence[str]) -> list[_Space]:
+def _spaces(signatures: Mapping[str, Sequence[FloatArray]]) -> list[_Space]:
     spaces = []
     for number, (effect, forms) in enumerate(signatures.items()):
         for columns in forms:
@@ -251,7 +236,7 @@ def _spaces(signatures: Mapping[str, Sequence[FloatArray]], one_sign: Sequence[s
             rank = int((size > max(RANK * size.max(initial=0.0), 1e-6)).sum())
             if rank == 1:
                 # one direction keeps its sign
-                spaces.append(_Space(number, kept[:, :1], effect in one_sign))
+                spaces.append(_Space(number, kept[:, :1], effect in ONE_SIGN))
             elif rank > 1:
                 spaces.append(_Space(number, left[:, :rank], False))
     return spaces

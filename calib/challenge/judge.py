@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.challenge.cases import Truth
 from calib.gap.effects.library import REGISTRY
-from calib.plant.world import Cause
+from calib.plant import Cause
 from calib.types import FloatArray
 
 Compared = tuple[str, float, float, float]  # parameter, truth, low, high

@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.settings import FrontModel
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
+from calib.plant import Moment, World, build_world, standardised
 from calib.plant.design import Design
-from calib.plant.world import Moment, World, build_world, standardised
 from calib.types import BoolArray, FloatArray, IntArray, floats
 
 #: of fewer units draws repeat: the next wider circle is taken

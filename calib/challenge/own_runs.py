@@ -10,20 +10,20 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign, Logs
+from calib.challenge import each
 from calib.challenge.cases import ONE_SIGN
 from calib.challenge.judge import Answer, Plant, answer_of
 from calib.challenge.own_replay import OUTSIDERS, OwnNoise, Replay, SizedAct, by_column, outsiders, own_noise
-from calib.challenge.score import clopper_pearson
-from calib.challenge.seal import each
+from calib.challenge.score import Share
 from calib.documents import plain
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
+from calib.plant import Form, World, scaled
 from calib.plant.effects import effects as plant_effects
 from calib.plant.effects import forms_of
 from calib.plant.signal import CALIBRATION, strength
-from calib.plant.world import Form, World, scaled
 from calib.types import FloatArray, Progress, grouped, silent
 
 #: what logged counts cannot be made to show
@@ -220,25 +220,19 @@ class Own:
     seconds: float
 
     @property
-    def raised(self) -> int:
-        """False alarms."""
-        return sum(answer.seen for answer in self.empty)
+    def alarms(self) -> Share:
+        """False alarms of empty campaigns."""
+        return Share(sum(answer.seen for answer in self.empty), len(self.empty))
 
     @property
-    def wrong(self) -> int:
-        """Wrong names."""
-        return sum(found.times("wrong") for found in self.found)
-
-    @property
-    def planted(self) -> int:
-        """Planted campaigns."""
-        return sum(len(found.answers) for found in self.found)
+    def wrong(self) -> Share:
+        """Wrong names of planted campaigns."""
+        return Share(sum(one.times("wrong") for one in self.found), sum(len(one.answers) for one in self.found))
 
     @property
     def trusted(self) -> bool:
         """Whether neither is surely more than `ALLOWED`."""
-        counts = (self.raised, len(self.empty)), (self.wrong, self.planted)
-        return all(clopper_pearson(*count)[0] <= ALLOWED for count in counts)
+        return all(share.exact95[0] <= ALLOWED for share in (self.alarms, self.wrong))
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
@@ -246,15 +240,15 @@ class Own:
             name: grouped((plant.effect, plant) for plant in self.found if plant.outside == outside)
             for name, outside in (("effects", False), ("outsiders", True))
         }
-        low, high = clopper_pearson(self.raised, len(self.empty))
+        alarms, wrong = self.alarms, self.wrong
         return {
             "format": FORMAT,
             "campaign": self.campaign,
             "simulated": self.simulated,
             "own_verdict": self.own_verdict,
             **plain(tables),
-            "false_alarms": {"tried": len(self.empty), "raised": self.raised, "ci95": [low, high]},
-            "wrong": {"planted": self.planted, "wrong": self.wrong},
+            "false_alarms": {"tried": alarms.total, "raised": alarms.hits, "ci95": list(alarms.exact95)},
+            "wrong": {"planted": wrong.total, "wrong": wrong.hits},
             "trusted": self.trusted,
             "not_planted": dict(self.left_out),
             "noise": {"runs": self.runs, "units": self.units, "units_with_repeats": self.units_with_repeats},

@@ -11,12 +11,12 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.challenge.seal import each, read_public
+from calib.challenge import each, read_public
 from calib.errors import CalibError
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.decision.held_out import end_rms_m
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.effect import forms_on
+from calib.gap.effects import forms_on
 from calib.gap.effects.library import library
 from calib.gap.inference.fit import hypothesis_path, whitened_rows
 from calib.gap.observations.from_campaign import observations_of
@@ -105,7 +105,7 @@ def run(
     diagnoser: Diagnoser | None = None,
     progress: Progress = silent,
 ) -> Ran:
-    """Diagnose the cases of a set that have no verdict yet, of the first `limit`; see `calib.challenge.seal.make`.
+    """Diagnose the cases of a set that have no verdict yet, of the first `limit`; see `calib.challenge.make`.
 
     A `diagnoser` of one's own runs in this process.
     """

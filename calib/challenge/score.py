@@ -10,9 +10,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.challenge import TRUTH_FORMAT, read_public, truth_path
 from calib.challenge.cases import Truth
 from calib.challenge.judge import Judged, judge
-from calib.challenge.seal import TRUTH_FORMAT, read_public, truth_path
 from calib.documents import plain_fields
 from calib.errors import BadFileError
 from calib.io import sha256_file
@@ -45,10 +45,19 @@ class Share:
         """Hits over total; None where there is nothing."""
         return self.hits / self.total if self.total else None
 
+    @property
+    def wilson95(self) -> tuple[float, float]:
+        """Its interval by `wilson`."""
+        return wilson(self.hits, self.total)
+
+    @property
+    def exact95(self) -> tuple[float, float]:
+        """Its interval by `clopper_pearson`."""
+        return clopper_pearson(self.hits, self.total)
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
-        exact = clopper_pearson(self.hits, self.total)
-        return plain_fields(self, rate=self.rate, wilson95=wilson(self.hits, self.total), clopper_pearson95=exact)
+        return plain_fields(self, rate=self.rate, wilson95=self.wilson95, clopper_pearson95=self.exact95)
 
 
 def share(values: list[bool]) -> Share:
@@ -107,12 +116,17 @@ class Score:
         """The cases not answered right."""
         return tuple(case for case in self.cases if not case.right)
 
+    @staticmethod
+    def target(line: str) -> tuple[float, str] | None:
+        """Return what a line of the board must reach, and whether ``at least`` or ``at most``; None for most."""
+        return TARGETS.get(line)
+
     def meets(self, line: str) -> bool | None:
         """Return whether a line of the board reaches its target; None where it has none or no case."""
-        if line not in TARGETS or self.board[line].rate is None:
+        target, rate = self.target(line), self.board[line].rate
+        if target is None or rate is None:
             return None
-        wanted, sense = TARGETS[line]
-        rate = self.board[line].rate or 0.0
+        wanted, sense = target
         return rate >= wanted if sense == "at least" else rate <= wanted
 
     def to_dict(self) -> dict[str, Any]:
@@ -249,10 +263,9 @@ def _summary(cases: list[Judged]) -> dict[str, object]:
     both = [(one.predicted, one.achieved) for one in cases if one.predicted is not None and one.achieved is not None]
     explained = [case.predicted for case in cases if case.verdict == "explained" and case.predicted is not None]
     crowded = [statement for case in _of(cases, "crowded") for statement in case.statements]
-    stated_minus_true = float(np.mean([p - hit for p, hit in crowded])) if crowded else None
     return {
         "cases": len(cases),
-        "crowded_stated_minus_true": stated_minus_true,
+        "crowded_stated_minus_true": float(np.mean([p - hit for p, hit in crowded])) if crowded else None,
         "median_set_size": median([float(case.set_size) for case in cases if case.set_size]),
         "interval_coverage": share([low <= truth <= high for _, truth, low, high in intervals]).to_dict(),
         "interval_coverage_by_parameter": {name: share(covered).to_dict() for name, covered in sorted(hits.items())},

@@ -8,7 +8,7 @@ from typing import Annotated, Final
 from calib.cli import terminal
 from calib.cli.terminal import Count, Number, Numbers, Place, Text, arg, opt
 from calib.errors import BadInputError, refuse_more, refuse_workers
-from calib.reporting.blocks import drawn
+from calib.reporting import drawn
 
 #: runs cut out of a recording that are listed
 _LISTED_RUNS = 8
@@ -119,8 +119,7 @@ def check(
         report = check_campaign(read, tick)
     parts = ("campaign", "simulated", "sound", "verdict", "found", "wrong", "suspicious", "info")
     terminal.answer({part: plain(getattr(report, part)) for part in parts}, check_content(report))
-    named = {*read.logs.columns, *read.runs.labels, *read.runs.numbers}
-    terminal.then(after_check(report, named), c=campaign)
+    terminal.then(after_check(report, {*read.logs.columns, *read.runs.labels, *read.runs.numbers}), c=campaign)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0
 
 
@@ -236,7 +235,7 @@ def loads(
     swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
     placed = (value or 0.0 for value in at.values())
     swept = sweep_loads(meant, *placed, swept=swept_column, span=span, steps=21 if steps is None else steps)
-    written = terminal.draw(figures, lambda: {stem: drawn("motion.load_figure", swept)})
+    written = terminal.draw(figures, lambda: {stem: drawn("studies.load_figure", swept)})
     document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
     terminal.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
     terminal.then("loads")
@@ -262,7 +261,7 @@ def run(
     from calib.fleet.run import Fleet, Survey, fit_fleet, survey_fleet
     from calib.reporting.pages import write_fleet
     from calib.reporting.source import issue_date
-    from calib.reporting.topics.fleet import fleet_content
+    from calib.reporting.topics.geometry import fleet_content
 
     issued, stem = issue_date(date), "fleet" if what == "fit" else what
     names = [f"{stem}.json", f"{stem}.pdf", f"{stem}.html", *(["vehicles.csv"] if what == "fit" else [])]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 from calib.cli import terminal
 from calib.cli.terminal import Place, Text, Texts, arg, opt
 from calib.errors import BadInputError, RefusedError, refuse_workers
-from calib.reporting.blocks import drawn, named
+from calib.reporting import drawn, named
 
 if TYPE_CHECKING:
     from calib.campaign.model import Campaign
@@ -126,9 +126,9 @@ def _simulated(
     campaign: "Campaign", simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: "Progress"
 ) -> "tuple[Diagnosis, str]":
     from calib.campaign.log_reading import cache_folder
+    from calib.gap.simulator import read_settings
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE
-    from calib.gap.simulator.settings import read_settings
     from calib.reporting.formatting import plural
 
     refuse_workers(workers)
@@ -246,7 +246,7 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None
 
 def _judge(source: Path, figures: Path | None) -> None:
     from calib.api.outputs import promised
-    from calib.gap.plan.identifiability import outlook_of
+    from calib.gap.plan import outlook_of
     from calib.gap.plan.next_runs import read_plan
     from calib.reporting.topics.diagnosis import outlook_content, promise_table
 

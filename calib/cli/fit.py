@@ -9,7 +9,7 @@ from calib.cli import terminal
 from calib.cli.terminal import Number, Place, Text, Texts, arg, opt
 from calib.coefficients.formats import FORMATS, PATCHING, Artifact, ExportOptions, parse_loads, place, refuse_loads
 from calib.errors import BadInputError
-from calib.reporting.blocks import drawn
+from calib.reporting import drawn
 from calib.reporting.exports import BINARY, export_from
 from calib.reporting.exports import FORMATS as OTHER_FORMATS
 
@@ -247,7 +247,7 @@ def report(
     """
     from calib.io import write_bytes, write_text
     from calib.reporting.content import place_of, report_of
-    from calib.reporting.figures.style import write_figures
+    from calib.reporting.figures import write_figures
     from calib.reporting.pages import to_pdf
     from calib.reporting.source import issue_date, opened
 

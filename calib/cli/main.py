@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import typer
 
-from calib.cli.commands import COMMANDS, build, command_called, options_of, with_default
+from calib.cli import COMMANDS, build, command_called, options_of, with_default
 from calib.cli.terminal import CLOSED, INTERRUPTED, KEPT, WRITTEN, drop, nearest, note, visible
 from calib.documents import to_json
 from calib.errors import CalibError, ImplausibleError

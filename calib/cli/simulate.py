@@ -11,7 +11,7 @@ from calib.errors import BadInputError
 
 if TYPE_CHECKING:
     from calib.odometry.simulation import Simulation
-    from calib.reporting.blocks import Block, Section
+    from calib.reporting import Block, Section
 
 SPEED_MPS: Final = 0.5
 DRAWS: Final = 20_000
@@ -59,7 +59,7 @@ def finish(
 def _tell(
     document: dict[str, object], content: "Iterable[Block | Section]", notes: list[str], written: list[Path]
 ) -> None:
-    from calib.reporting.blocks import items
+    from calib.reporting import items
     from calib.reporting.formatting import prose
 
     document |= {"notes": notes, "files": [str(path) for path in written]}
@@ -259,7 +259,7 @@ def make(
 
     Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind --cases 40
     """
-    from calib.challenge.seal import make
+    from calib.challenge import make
 
     def told(digest: str) -> None:
         terminal.say(f"truth sealed, SHA-256 {digest}")
@@ -297,14 +297,15 @@ def score(
     Example: calib challenge score blind --plot blind.png --json blind-score.json
     """
     from calib.challenge.score import score as score_set
-    from calib.reporting.topics.fleet import score_content
+    from calib.reporting.topics.simulation import score_content
 
     beside = None if plot is None else plot.parent / f"{plot.stem}-confusion{plot.suffix}"
     terminal.refuse_outputs(plot, beside)
     scored = score_set(folder, truth_file=truth)
     terminal.show(score_content(scored))
     if plot is not None and beside is not None:
-        from calib.reporting.figures.challenge import board_figure, confusion_figure, save
+        from calib.reporting.figures import save
+        from calib.reporting.figures.studies import board_figure, confusion_figure
 
         save(board_figure(scored), plot, force=terminal.forced())
         save(confusion_figure(scored), beside, force=terminal.forced())
@@ -333,7 +334,7 @@ def own(
     """
     from calib.campaign.read import read_campaign
     from calib.challenge.own_runs import challenge_own, parse_sizes
-    from calib.reporting.topics.fleet import own_content
+    from calib.reporting.topics.simulation import own_content
 
     names = tuple(filter(None, map(str.strip, (effects or "").split(","))))
     if effects is not None and not names:

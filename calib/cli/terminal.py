@@ -20,7 +20,7 @@ from calib.io import refuse_existing, write_bytes, write_json, write_text
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from calib.reporting.blocks import Block, Section
+    from calib.reporting import Block, Section
 
 
 #: what the command at work has written so far, for the line after an interruption
@@ -87,7 +87,7 @@ def refuse_outputs(*targets: Path | None, figures: Path | None = None, names: It
     """
     drawn: list[Path] = []
     if figures is not None:
-        from calib.reporting.figures.style import figure_paths
+        from calib.reporting.figures import figure_paths
 
         drawn = figure_paths(figures, names)
     refuse_existing([JSON_TARGET.get(), *targets, *drawn], force=forced())
@@ -153,7 +153,7 @@ def answer(document: Any, blocks: "Iterable[Block | Section]") -> None:
 
 def say(text: str) -> None:
     """Print a sentence for people over as many lines as it takes."""
-    from calib.reporting.blocks import Text
+    from calib.reporting import Text
 
     show([Text(text)] if text else [])
 
@@ -163,7 +163,7 @@ def then(step: str, *, aside: bool = False, **names: str | Path | Iterable[str |
 
     `aside`: always on standard error.
     """
-    from calib.reporting.blocks import next_step
+    from calib.reporting import next_step
 
     if not CLOSED.get():
         _write(sys.stderr if aside or wants_stdout() else sys.stdout, next_step(step, **names))
@@ -193,7 +193,7 @@ def draw(folder: Path | None, figures: "Callable[[], Mapping[str, Figure]]") -> 
     """Draw figures and write them into a folder, where one is named; return their files."""
     if folder is None:
         return []
-    from calib.reporting.figures.style import write_figures
+    from calib.reporting.figures import write_figures
 
     with progress("drawing") as tick:
         written = write_figures(figures(), folder, force=forced(), progress=tick)

@@ -172,9 +172,7 @@ class CoefficientFile(Section):
 
     def sensor(self, stated: Reference) -> Reference:
         """Return the reference with its sensor where the geometry found it; as `stated` without one."""
-        places = ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad")
-        x, y, yaw = (self.together.get(name, getattr(stated, name)) for name in places)
-        return replace(stated, sensor_x_m=x, sensor_y_m=y, sensor_yaw_rad=yaw)
+        return replace(stated, **{name: self.together.get(name, getattr(stated, name)) for name in SENSOR_PLACES})
 
     def refuse_other_vehicle(self, campaign: Campaign) -> None:
         """Raise RefusedError where the file was made for another vehicle than the campaign's.
@@ -309,6 +307,8 @@ def believed_model(file: CoefficientFile, reference_load_N: float) -> OdometryMo
 
 #: how the ids of effects begin that act on an instrument, not on the vehicle
 OF_INSTRUMENTS: Final = ("rangefinder_", "reference_", "beam_", "gyro_")
+#: where the reference's sensor is, as settings and parameters name it
+SENSOR_PLACES: Final = ("sensor_x_m", "sensor_y_m", "sensor_yaw_rad")
 
 
 def effects_left_out(file: CoefficientFile, what: str) -> tuple[str, ...]:

@@ -256,7 +256,6 @@ class StrataSection(Section):
     def estimate(self, radius_m: float, slope_m_per_N: float) -> LineEstimate:
         """Return the estimate that they are parts of."""
         within, between = self.within, self.between
-        rows = [(one.radius_ref.value, one.slope.value) for one in self.systematic]
         return LineEstimate(
             coefficients=np.array([radius_m, slope_m_per_N]),
             dof_within=within.dof.value,
@@ -268,7 +267,7 @@ class StrataSection(Section):
             session_f=None if self.session_f is None else self.session_f.value,
             hc3=False,
             design="",
-            systematic=np.array(rows).reshape(-1, 2),
+            systematic=np.array([(one.radius_ref.value, one.slope.value) for one in self.systematic]).reshape(-1, 2),
             systematic_dof=np.array([np.inf if one.dof is None else one.dof.value for one in self.systematic]),
         )
 

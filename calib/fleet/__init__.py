@@ -1,1 +1,393 @@
-"""Many vehicles: one task a vehicle and file, sums that add, and the fleet's view."""
+"""Many vehicles: one task a vehicle and file, sums that add, and the fleet's view.
+
+Here what they show together: spread of their quantities, outliers, labels that differ, shared findings.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+from warnings import catch_warnings
+
+import numpy as np
+from scipy.special import chdtri, digamma, polygamma, stdtr, stdtrit
+
+from calib.documents import plain_fields
+from calib.types import BoolArray, FloatArray, floats, grouped
+
+COVERAGE: Final = 0.95
+#: share of named vehicles that may be wrong (Benjamini and Hochberg): each costs a visit
+FALSE_SHARE: Final = 0.01
+#: chance that any of a short list is wrong (Holm)
+FALSE_CHANCE: Final = 0.01
+#: median of |z| of a standard normal
+MEDIAN_ABS: Final = 0.6744897501960817
+#: robust standard deviations beyond which a vehicle has no say in the fleet's mean and spread
+FAR: Final = 5.0
+#: values are drawn in to so many median deviations before labels are compared
+DRAWN_IN: Final = 4.0
+#: keeps quotients finite where all is equal
+SMALLEST_VARIANCE: Final = 1e-300
+
+
+@dataclass(frozen=True, slots=True)
+class Population:
+    """A quantity over the fleet."""
+
+    mean: float
+    mean_ci95: tuple[float, float]
+    spread: float
+    spread_ci95: tuple[float, float]
+    within: float
+    n: int
+
+
+def population(values: FloatArray, std: FloatArray) -> Population | None:
+    """Return a quantity's mean and spread over vehicles; None with fewer than three."""
+    n = len(values)
+    if n < 3:
+        return None
+    variance = std**2
+    tail = 0.5 * (1.0 - COVERAGE)
+    targets = (float(n - 1), float(chdtri(n - 1, 1 - tail)), float(chdtri(n - 1, tail)))
+    between, high, low = (_between(values, variance, target) for target in targets)
+    weight = 1.0 / (between + variance)
+    mean = float(weight @ values / weight.sum())
+    spread_of_mean = float(np.sqrt(weight @ (values - mean) ** 2 / (n - 1) / weight.sum()))
+    half = float(stdtrit(n - 1, 1 - tail)) * spread_of_mean
+    within, spread, *spread_ci95 = np.sqrt([np.median(variance), between, low, high]).tolist()
+    return Population(mean, (mean - half, mean + half), spread, (spread_ci95[0], spread_ci95[1]), within, n)
+
+
+def _between(values: FloatArray, variance: FloatArray, target: float) -> float:
+    variance = np.maximum(variance, 1e-30 + 1e-12 * float(np.max(variance)))
+
+    def excess(between: float) -> float:
+        weight = 1.0 / (between + variance)
+        return float(weight @ (values - weight @ values / weight.sum()) ** 2) - target
+
+    # with weights up to 1 / between, Q is at most the sum of squares over it
+    return _root(excess, float(np.sum((values - values.mean()) ** 2)) / target)
+
+
+def _root(falling: Callable[[float], float], high: float) -> float:
+    from scipy.optimize import brentq
+
+    if falling(0.0) <= 0.0:
+        return 0.0
+    return float(brentq(falling, 0.0, 2.0 * high, xtol=1e-13 * high + 1e-300, rtol=1e-14))
+
+
+def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value by Student's t.
+
+    Median and median deviation find those that may stand apart; mean and spread of the others, better known, judge all.
+    """
+    away = np.abs(values - np.median(values))
+    variance = std**2 + SMALLEST_VARIANCE
+
+    def excess(spread: float) -> float:
+        return float(np.median(away / np.sqrt(spread**2 + variance))) - MEDIAN_ABS
+
+    spread = _root(excess, float(np.median(away)) / MEDIAN_ABS)
+    usual = away / np.sqrt(spread**2 + variance) < FAR
+    fleet = population(values[usual], std[usual])
+    if fleet is None:
+        return np.zeros(len(values)), np.ones(len(values))
+    z = (values - fleet.mean) / np.sqrt(fleet.spread**2 * (1.0 + 1.0 / fleet.n) + variance)
+    return np.asarray(z), np.asarray(2.0 * stdtr(fleet.n - 1.0, -np.abs(z)))
+
+
+def false_discovery(p_values: FloatArray, share: float = FALSE_SHARE, method: str = "fdr_bh") -> BoolArray:
+    """Return which findings stand at a false discovery rate of `share`; NaN is no finding."""
+    from statsmodels.stats.multitest import multipletests
+
+    p = floats(p_values)
+    stands, known = np.zeros(p.shape, dtype=np.bool_), np.isfinite(p)
+    if known.any():
+        stands[known] = multipletests(p[known], share, method)[0]
+    return stands
+
+
+def any_false(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
+    """Return which findings stand at a family-wise error rate of `chance`; NaN is no finding."""
+    return false_discovery(p_values, chance, "holm")
+
+
+def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return wheels' variances beside those of the fleet, and their degrees of freedom (Smyth 2004).
+
+    The inverse chi-squared of variances has degrees of freedom two standard errors low. None falls below its own: one
+    wheel's sessions may scatter as no other's.
+    """
+    n, half = len(dof), 0.5 * dof
+    if n < 2 * FEWEST_COMPARED:
+        return variance, dof
+    log = np.log(variance) - digamma(half) + np.log(half)
+    squares = (log - log.mean()) ** 2 * n / (n - 1) - polygamma(1, half)
+    # a vehicle's two wheels share its sessions: half as many are independent
+    excess, prior = float(squares.mean() + 2.0 * squares.std() / np.sqrt(0.5 * n)), 0.5 * float(half.sum())
+    if excess > 0.0:
+        # where 1 / x + 1 / (2 x^2), just below the trigamma function, is the excess
+        prior = min(prior, (1.0 + np.sqrt(1.0 + 2.0 * excess)) / (2.0 * excess))
+    usual = np.exp(log.mean() + digamma(prior) - np.log(prior))
+    return np.maximum((prior * usual + half * variance) / (prior + half), variance), 2.0 * (prior + half)
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """What a label's vehicles have more than the others."""
+
+    size: float
+    ci95: tuple[float, float] = field(metadata={"json": "size_ci95"})
+    p_value: float
+    n_showing: int
+
+
+def difference_of(values: FloatArray, inside: BoolArray) -> Difference:
+    """Compare the vehicles inside a label with the others by Welch's test."""
+    from scipy.stats import ttest_ind
+
+    one, other = (_drawn_in(values[side]) for side in (inside, ~inside))
+    with catch_warnings(action="ignore"):  # equal vehicles: NaN
+        test = ttest_ind(one, other, equal_var=False)
+        low, high = map(float, test.confidence_interval(COVERAGE))
+    size = float(one.mean() - other.mean())
+    away = values[inside] - float(np.median(values[~inside]))
+    return Difference(size, (low, high), float(test.pvalue), int((np.sign(size) * away > 0.5 * abs(size)).sum()))
+
+
+def _drawn_in(values: FloatArray) -> FloatArray:
+    median = float(np.median(values))
+    width = DRAWN_IN * max(float(np.median(np.abs(values - median))), SMALLEST_VARIANCE)
+    return np.clip(values, median - width, median + width)
+
+
+#: fewest vehicles judged against each other, or with a label
+FEWEST_COMPARED: Final = 5
+#: fewest vehicles that share a finding
+FEWEST_SHARING: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleResult:
+    """Result of a task for one vehicle: id, key of its files, plain JSON values; `why` it failed."""
+
+    name: str
+    key: str
+    values: Mapping[str, Any] = field(default_factory=dict)
+    why: str = ""
+
+    @property
+    def status(self) -> str:
+        """``done`` or ``failed``."""
+        return "failed" if self.why else "done"
+
+
+#: column of ``vehicles.csv`` -> vehicle -> label
+Labels = Mapping[str, Mapping[str, str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """A vehicle far from the fleet's mean in a quantity."""
+
+    vehicle: str = field(metadata={"json": "id"})
+    quantity: str
+    value: float
+    fleet: float = field(metadata={"json": False})
+    z: float
+
+    @property
+    def why(self) -> str:
+        """What a person reads."""
+        name, scale, unit = shown_quantity(self.quantity)
+        value, away = f"{scale * self.value:.6g} {unit}", f"{scale * (self.value - self.fleet):+.3g} {unit}"
+        value, away = value.rstrip(), f"{away.rstrip()} from the fleet's mean"
+        return f"{name}: {value}, {away} ({abs(self.z):.1f} standard deviations)"
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it as plain JSON values."""
+        return plain_fields(self, why=self.why)
+
+
+@dataclass(frozen=True, slots=True)
+class LabelDifference:
+    """A quantity in which a label's vehicles differ from the others."""
+
+    label: str
+    value: str
+    quantity: str
+    n_vehicles: int
+    difference: Difference = field(metadata={"json": False})
+
+    @property
+    def what(self) -> str:
+        """The difference."""
+        name, scale, unit = shown_quantity(self.quantity)
+        return f"{name} {f'{scale * self.difference.size:+.3g} {unit}'.rstrip()} from the others'"
+
+    @property
+    def sentence(self) -> str:
+        """What a person reads."""
+        return f"{self.difference.n_showing} of {self.n_vehicles} vehicles with {self.label} {self.value}: {self.what}"
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it as plain JSON values."""
+        return plain_fields(self, what=self.what, **plain_fields(self.difference), sentence=self.sentence)
+
+
+@dataclass(frozen=True, slots=True)
+class Quantities:
+    """What a fleet shows in its vehicles' quantities."""
+
+    populations: Mapping[str, Population]
+    outliers: tuple[Outlier, ...]
+    common: tuple[LabelDifference, ...]
+
+
+#: quantity -> values, shape (n_vehicles,), NaN where a vehicle lacks it
+Columns = Mapping[str, FloatArray]
+
+
+def quantities_of(
+    vehicles: Sequence[str], values: Columns, std: Columns, labels: Labels, drifting: frozenset[str] = frozenset()
+) -> Quantities:
+    """Return what a fleet shows in its vehicles' quantities; see `Columns` and `Labels`."""
+    compared = [name for name, column in values.items() if np.isfinite(column).sum() >= FEWEST_COMPARED]
+    common = _differences(vehicles, {name: values[name] for name in compared}, labels)
+    own = {name: column.copy() for name, column in values.items()}
+    having = {(label, value): inside for label, value, inside in _labelled(vehicles, labels)}
+    for cause in reversed(common):
+        inside = having[cause.label, cause.value]
+        own[cause.quantity][inside] = values[cause.quantity][inside] - cause.difference.size
+    apart = _apart(vehicles, {name: own[name] for name in compared}, values, std)
+    usual = ~np.isin(vehicles, [*(outlier.vehicle for outlier in apart), *drifting])
+    populations = {}
+    for name, column in own.items():
+        known = usual & np.isfinite(column)
+        if found := population(column[known], std[name][known]):
+            populations[name] = found
+    means = {name: populations[name].mean for name in compared if name in populations}
+    middle = {name: float(np.nanmean(own[name])) for name in compared if name not in means} | means
+    stay = (replace(one, fleet=one.fleet + middle[one.quantity]) for one in apart if one.vehicle not in drifting)
+    return Quantities(populations, tuple(stay), common)
+
+
+def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, str, BoolArray]]:
+    for label, of_vehicle in sorted(labels.items()):
+        own = np.array([of_vehicle.get(vehicle, "") for vehicle in vehicles], dtype=np.object_)
+        yield from ((label, value, own == value) for value in sorted({*own} - {""}))
+
+
+def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> tuple[LabelDifference, ...]:
+    candidates = []
+    for label, value, with_label in _labelled(vehicles, labels):
+        for name, column in values.items():
+            known = np.isfinite(column)
+            inside = with_label[known]
+            if FEWEST_COMPARED <= inside.sum() <= (~inside).sum():  # what the larger part shares is the fleet's own
+                difference = difference_of(column[known], inside)
+                candidates.append(LabelDifference(label, value, name, int(inside.sum()), difference))
+    stands = any_false(np.array([one.difference.p_value for one in candidates]))
+    kept = [one for one, stand in zip(candidates, stands, strict=True) if stand]
+    return tuple(sorted(kept, key=lambda one: (one.difference.p_value, one.label, one.value, one.quantity)))
+
+
+def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns) -> tuple[Outlier, ...]:
+    # `Outlier.fleet` holds what labels shift, without the mean
+    names = list(own)
+    z, p_value = np.zeros((len(vehicles), len(names))), np.full((len(vehicles), len(names)), np.nan)
+    for k, name in enumerate(names):
+        known = np.isfinite(own[name])
+        z[known, k], p_value[known, k] = outlying(own[name][known], std[name][known])
+    outliers = []
+    for row in map(int, np.flatnonzero(false_discovery(p_value).any(axis=1))):
+        name = names[k := int(np.argmax(np.abs(z[row])))]
+        value = float(values[name][row])
+        outliers.append(Outlier(vehicles[row], name, value, value - float(own[name][row]), float(z[row, k])))
+    return tuple(sorted(outliers, key=lambda one: (-abs(one.z), one.vehicle)))
+
+
+def shown_quantity(quantity: str) -> tuple[str, float, str]:
+    """Return a quantity's name for people, and factor to and name of its unit there."""
+    for suffix, scale, unit in (("_m_per_N", 1e6, "µm/N"), ("_m", 1e3, "mm"), ("_rad", 1e3, "mrad"), ("_s", 1e3, "ms")):
+        if quantity.endswith(suffix):
+            return quantity.removesuffix(suffix).removesuffix("_ref").replace("_", " "), scale, unit
+    return quantity.replace("_", " "), 1.0, ""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedCause:
+    """A finding that many vehicles share, of the whole fleet or of a label."""
+
+    what: str
+    label: str
+    value: str
+    n_showing: int
+    n_vehicles: int
+    p_value: float = 1.0
+
+    @property
+    def sentence(self) -> str:
+        """What a person reads."""
+        whose = f"vehicles with {self.label} {self.value}" if self.label else "vehicles"
+        return f"{self.n_showing} of {self.n_vehicles} {whose}: {self.what}"
+
+    def to_dict(self) -> dict[str, object]:
+        """Return it as plain JSON values."""
+        return plain_fields(self, sentence=self.sentence)
+
+
+def shared_causes(records: Sequence[VehicleResult], labels: Labels) -> tuple[SharedCause, ...]:
+    """Return what many vehicles share, the whole fleet first."""
+    done = [record for record in records if record.status == "done"]
+    names = [record.name for record in done]
+    findings = _findings(done)
+    counted = Counter(what for found in findings for what in found)
+    often = [(what, count) for what, count in counted.most_common() if count >= FEWEST_SHARING]
+    whole = [SharedCause(what, "", "", count, len(done)) for what, count in often]
+    by_label: list[SharedCause] = []
+    for what, _ in sorted(often):
+        shows = np.array([what in found for found in findings])
+        by_label += [_compared(what, *having, shows) for having in _labelled(names, labels)]
+    stands = false_discovery(np.array([cause.p_value for cause in by_label]))
+    special = [cause for cause, stand in zip(by_label, stands, strict=True) if stand]
+    return (*whole, *sorted(special, key=lambda cause: (cause.p_value, cause.what, cause.value)))
+
+
+def _findings(records: Sequence[VehicleResult]) -> list[set[str]]:
+    places = _places(records)
+    findings = []
+    for record in records:
+        found = {str(code) for level in ("wrong", "suspicious") for code in record.values.get(level, ())}
+        for cause in record.values.get("causes", ()):
+            effect = str(cause["effect"])
+            at, size = cause.get("x_m", np.inf), cause.get("size_m", 0.0)
+            x_m = next((x_m for x_m in places.get(effect, ()) if abs(at - x_m) <= size), None)
+            found.add(effect if x_m is None else f"{effect.replace('_', ' ')} at x = {x_m:g} m")
+        findings.append(found)
+    return findings
+
+
+def _places(records: Sequence[VehicleResult]) -> dict[str, list[float]]:
+    causes = [cause for record in records for cause in record.values.get("causes", ()) if "x_m" in cause]
+    named = grouped((str(cause["effect"]), (float(cause["x_m"]), float(cause["size_m"]))) for cause in causes)
+    places: dict[str, list[float]] = {}
+    for effect, found in named.items():
+        x, size = np.array(found).T
+        near = np.abs(x[:, None] - x) <= size[:, None]
+        left = np.ones(len(x), dtype=np.bool_)
+        while (counts := np.where(left, (near & left).sum(axis=1), 0)).max() >= FEWEST_SHARING:
+            middle = int(np.argmax(counts))
+            places.setdefault(effect, []).append(float(x[middle]))
+            left &= ~near[middle]
+    return places
+
+
+def _compared(what: str, label: str, value: str, inside: BoolArray, shows: BoolArray) -> SharedCause:
+    from scipy.stats import fisher_exact
+
+    table = [[int((shows & side).sum()), int((~shows & side).sum())] for side in (inside, ~inside)]
+    p_value = float(fisher_exact(table, alternative="greater").pvalue)
+    return SharedCause(what, label, value, table[0][0], int(inside.sum()), p_value)

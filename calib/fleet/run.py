@@ -8,15 +8,15 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib import fleet
+from calib.campaign import run_table
 from calib.campaign.model import Border, Campaign, Logs
 from calib.campaign.read import completed, read_campaign
 from calib.campaign.readers import read_table
 from calib.campaign.settings_file import read_settings
-from calib.campaign.tables import run_table
 from calib.documents import plain, plain_fields
 from calib.errors import BadInputError, CalibError, RefusedError
-from calib.fleet import comparison
-from calib.fleet.comparison import Labels, Quantities, VehicleResult, quantities_of
+from calib.fleet import Labels, Quantities, VehicleResult, quantities_of
 from calib.fleet.store import SUMS, Kept, Keys, Member, Part, any_simulated, labels_of, members_of, one_line, renewed
 from calib.fleet.vehicle import WHEELS, Drift, PartSums, VehicleRecord, WheelLine, WheelSums, record_of
 from calib.fleet.workers import engine
@@ -120,8 +120,7 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
         done = opened.run(records_of, vehicles, lambda one, why: VehicleRecord(one[0], 0, None, None, why))
         records = {record.vehicle: record for record in done}
     by_id = tuple(records[member.vehicle] for member in members)
-    view = view_of(by_id, labels_of(folder, members))
-    return Fleet(by_id, view, n_new, len(parts) - n_new, any_simulated(folder))
+    return Fleet(by_id, view_of(by_id, labels_of(folder, members)), n_new, len(parts) - n_new, any_simulated(folder))
 
 
 #: change of a radius by which recalibration is due: 5 mm over 10 m
@@ -141,15 +140,15 @@ class DriftingVehicle:
 
 @dataclass(frozen=True, slots=True)
 class FleetView:
-    """What the fleet shows; see `calib.fleet.comparison.Quantities`. Of drifting vehicles the soonest due first."""
+    """What the fleet shows; see `calib.fleet.Quantities`. Of drifting vehicles the soonest due first."""
 
     n_vehicles: int
     n_fitted: int
     n_failed: int
-    populations: Mapping[str, comparison.Population]
-    outliers: tuple[comparison.Outlier, ...]
+    populations: Mapping[str, fleet.Population]
+    outliers: tuple[fleet.Outlier, ...]
     drifting: tuple[DriftingVehicle, ...]
-    common: tuple[comparison.LabelDifference, ...]
+    common: tuple[fleet.LabelDifference, ...]
 
     def to_dict(self) -> dict[str, object]:
         """Return it as plain JSON values."""
@@ -180,7 +179,7 @@ def drifts_of(fitted: Sequence[VehicleRecord]) -> list[tuple[VehicleRecord, str,
     lines = [(record, side, getattr(record, side).drift) for record in fitted for side in WHEELS]
     lines = [line for line in lines if line[2] is not None and line[2].std_m > 0]
     variance, dof = (np.array([getattr(line[2], name) for line in lines]) for name in ("variance_m2", "dof"))
-    known = zip(lines, *comparison.moderated(variance, dof), strict=True)
+    known = zip(lines, *fleet.moderated(variance, dof), strict=True)
     return [
         (record, side, replace(drift, std_m=drift.std_m * np.sqrt(now / drift.variance_m2), dof=float(of)))
         for (record, side, drift), now, of in known
@@ -193,7 +192,7 @@ def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
     lines = drifts_of(fitted)
     p = np.array([2.0 * stdtr(drift.dof, -abs(drift.per_day_m) / drift.std_m) for _, _, drift in lines])
     drifting: dict[str, DriftingVehicle] = {}
-    for (record, side, drift), stands in zip(lines, comparison.any_false(p), strict=True):
+    for (record, side, drift), stands in zip(lines, fleet.any_false(p), strict=True):
         if not stands:
             continue
         due = drift.last_day + DUE_RELATIVE * getattr(record, side).radius_ref_m / abs(drift.per_day_m)
@@ -213,7 +212,7 @@ class Survey:
 
     what: str
     records: tuple[VehicleResult, ...]
-    shared: tuple[comparison.SharedCause, ...]
+    shared: tuple[fleet.SharedCause, ...]
     n_done: int
     n_kept: int
     quantities: Quantities | None = None
@@ -223,10 +222,10 @@ class Survey:
         """Return it as plain JSON values."""
         vehicles = [{"id": one.name, "status": one.status, **one.values, "why": one.why} for one in self.records]
         failed = sum(record.status == "failed" for record in self.records)
-        fleet = {"n_vehicles": len(self.records), "n_failed": failed, "shared": plain(self.shared)}
-        fleet |= {} if self.quantities is None else plain(self.quantities)
+        shown = {"n_vehicles": len(self.records), "n_failed": failed, "shared": plain(self.shared)}
+        shown |= {} if self.quantities is None else plain(self.quantities)
         head = {"format": "calib-fleet/1", "what": self.what, "simulated": self.simulated}
-        return {**head, "vehicles": vehicles, "fleet": fleet}
+        return {**head, "vehicles": vehicles, "fleet": shown}
 
 
 def survey_fleet(
@@ -245,7 +244,7 @@ def survey_fleet(
         kept, n_new = renewed(path, members, opened, task, given_up, progress, "vehicles", lambda _member: WEIGHT)
     records = tuple(VehicleResult(**kept[name].values()) for name in members)
     labels = labels_of(folder, tuple(members.values()))
-    shared = comparison.shared_causes(records, labels)
+    shared = fleet.shared_causes(records, labels)
     found = _quantities(records, labels)
     return Survey(what, records, shared, n_new, len(members) - n_new, found, any_simulated(folder))
 

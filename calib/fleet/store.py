@@ -173,8 +173,7 @@ class Kept:
     def of(record: Any) -> "Kept":
         """Return the line of a dataclass that has a `name` and a `key`."""
         values = plain(record)
-        line = json.dumps({**values, SEAL: _seal(values)}, ensure_ascii=False) + "\n"
-        return Kept(record.name, record.key, line)
+        return Kept(record.name, record.key, json.dumps({**values, SEAL: _seal(values)}, ensure_ascii=False) + "\n")
 
     def values(self) -> dict[str, Any]:
         """Return the line's values; raises ValueError where it was changed."""

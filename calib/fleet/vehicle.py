@@ -1,6 +1,6 @@
 """The record of a vehicle: both wheels' laws from sums of its files by session, with intervals and drift.
 
-Intervals allow for autocorrelated runs as in `calib.radius.sessions`; the slope's variance grows by ``(1 + rho phi) /
+Intervals allow for autocorrelated runs as in `calib.radius`; the slope's variance grows by ``(1 + rho phi) /
 (1 - rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
 """
 
@@ -11,10 +11,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.radius import MIN_DOF, WIDENED_BELOW, line_of_strata, rho_at
 from calib.radius.effective import SystematicSource, gradient
 from calib.radius.law import LineEstimate
 from calib.radius.regression import SAME_LOAD
-from calib.radius.sessions import MIN_DOF, WIDENED_BELOW, line_of_strata, rho_at
 from calib.types import FloatArray, StrArray
 
 WHEELS: Final = ("left", "right")
@@ -254,7 +254,7 @@ class _Blocks:
 
 
 def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, float]:
-    """See `calib.radius.sessions.widened`."""
+    """See `calib.radius.widened`."""
     from scipy.special import ndtr
 
     blocks = _blocks_of(estimate, sums)

@@ -7,9 +7,10 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.campaign.settings import Reference
 from calib.campaign.wheels import mecanum_model, odometry_source, without_rear_wheels
 from calib.coefficients.build import Header, PoseNoise, from_law, joint_section, load_points
-from calib.coefficients.file import OF_INSTRUMENTS, CoefficientFile, believed_model, effects_left_out
+from calib.coefficients.file import OF_INSTRUMENTS, SENSOR_PLACES, CoefficientFile, believed_model, effects_left_out
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import BY_SIMULATOR, Diagnosis, VerdictKind
@@ -17,6 +18,7 @@ from calib.gap.decision.held_out import end_rms_m
 from calib.gap.decision.sentences import SMALLER
 from calib.gap.effects.encoder import EncoderBlunder
 from calib.gap.effects.library import effect_class, section_of, with_effects
+from calib.gap.effects.mounting import LateReference, TurnedReference
 from calib.gap.predict import measured_gap, predict
 from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
@@ -82,6 +84,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         effects=[*given, *sections],
         noise=PoseNoise(track_std_m=per_track * float(np.sqrt(covariance[4, 4]))),
     ).calibrated(track=per_track * track_m)
+    lengths |= _sensor(diagnosis, campaign.reference)
     names, matrix = list(rows), np.stack(list(rows.values()))
     sizes = matrix @ (left.radius_ref_m, left.slope_m_per_N, right.radius_ref_m, right.slope_m_per_N, track_m)
     spread = matrix @ covariance @ matrix.T
@@ -89,6 +92,16 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     found, determined = dict(zip(names, sizes.tolist(), strict=True)), [names[k] for k in known]
     together = joint_section(file.vehicle.drive, source, found | lengths, determined, spread[np.ix_(known, known)])
     return file.changed(joint_geometry=together)
+
+
+def _sensor(diagnosis: Diagnosis, stated: Reference) -> dict[str, float]:
+    """Return the sensor's place and yaw where found or believed elsewhere; refused where the data are mirrored."""
+    situation = diagnosis.arrays.situation
+    for fault in situation.faults:
+        if isinstance(fault, TurnedReference) and fault.mirrored:
+            raise RefusedError(f"{diagnosis.campaign}: no model corrects a mirrored reference; {fault.remark}")
+    believed = situation.campaign.reference
+    return {} if believed == stated else {name: float(getattr(believed, name)) for name in SENSOR_PLACES}
 
 
 def _joint_parameters(diagnosis: Diagnosis, campaign: Campaign) -> tuple[str, dict[str, FloatArray], dict[str, float]]:
@@ -120,8 +133,9 @@ def _slopes_and_sections(diagnosis: Diagnosis) -> tuple[dict[str, tuple[float, i
             slopes = {side: (float(theta[k]), place.start + k) for side, k in zip(("left", "right"), rows, strict=True)}
         elif form.effect in named:
             sections.append(section_of(form, theta))
+    late = [fault.effect.id for fault in diagnosis.arrays.situation.faults if isinstance(fault, LateReference)]
     for cause in causes:
-        if cause.effect == EncoderBlunder.id:
+        if cause.effect in (EncoderBlunder.id, *late):
             sizes = {name: Quantity(value=q.value, unit=q.unit) for name, q in cause.parameters.items()}
             settings = dict(cause.settings)
             sections.append(EffectSection(effect=cause.effect, form=cause.form, settings=settings, parameters=sizes))

@@ -1,7 +1,7 @@
 """The pipeline of a diagnosis: from a campaign to the causes of its gap and what their correction is worth."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path as FilePath
@@ -9,25 +9,24 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.check import implausible, notes_for_results
 from calib.campaign.checks.design import listed, pasted_rows
-from calib.campaign.model import Campaign
+from calib.campaign.model import SIMULATED_POSE, Campaign
 from calib.campaign.settings import OdometryModel
 from calib.coefficients.sections import EffectSection
-from calib.errors import BadInputError, RefusedError
+from calib.gap.decision import trials
 from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
-from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation
+from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation, VerdictKind
 from calib.gap.decision.held_out import measure_closure
 from calib.gap.decision.kind import fails, kept_back, open_questions, tells_more, with_left
-from calib.gap.decision.trials import most_square, trials
-from calib.gap.effects.effect import Effect
-from calib.gap.effects.encoder import BLUNDER_MISFIT, EncoderBlunder, bad_runs, corrected, find_blunder, misfit
-from calib.gap.effects.library import ELSEWHERE, beyond_law, library, model_of, with_effects, with_sensor_of
-from calib.gap.effects.reference import ReferenceYaw, TurnedReference, find_turned
-from calib.gap.effects.simulator import as_simulated
-from calib.gap.effects.steering import steering_blunder
-from calib.gap.inference.fit import Fitted, recalibrate, squares_by_unit
+from calib.gap.decision.sought import Sought, lone_recordings, lone_run, refuse_copied, without_runs
+from calib.gap.effects import Effect
+from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
+from calib.gap.effects.library import ELSEWHERE, beyond_law, library, model_of, with_mounting_of
+from calib.gap.effects.reference import ReferenceLeverArm, ReferenceYaw
+from calib.gap.effects.simulator import IntegrationScheme
+from calib.gap.inference import EVEN_PROBABILITY
+from calib.gap.inference.fit import Fitted, recalibrate
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.local_search import SearchResult
@@ -35,14 +34,13 @@ from calib.gap.inference.marginal_likelihood import FLOOR_DOF
 from calib.gap.inference.model_search import search
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.inference.recalibration import judge_recalibration
-from calib.gap.inference.thresholds import EVEN_PROBABILITY
 from calib.gap.localise.locate import locate
-from calib.gap.observations.arrays import Channel, Observations
-from calib.gap.observations.from_campaign import check_distances, observations_of, with_known_loads
-from calib.gap.plan.identifiability import undetectable
+from calib.gap.observations import Observations
+from calib.gap.observations.from_campaign import observations_of, with_known_loads
+from calib.gap.plan import undetectable
 from calib.gap.plan.planned_runs import joined
-from calib.gap.predict import Path, measured_gap, predict, residuals
-from calib.types import FloatArray, Progress, silent
+from calib.gap.predict import Path, predict, residuals
+from calib.types import Progress, silent
 
 #: largest variance factor of the fit over the noise level: more is a cause not found
 MOST_VARIANCE_FACTOR: Final = 1.5
@@ -50,11 +48,8 @@ MOST_VARIANCE_FACTOR: Final = 1.5
 NOISE_PASSES: Final = 3
 #: change of a typical noise level that calls for another search: below, the evidence changes by less than its scatter
 NOISE_CHANGE: Final = 1.25
-#: headings that agree with the counts within this share of their standard uncertainty, on so many runs of which one
-#: turns by so much, are the odometry's own
-COPIED_SHARE: Final = 1e-6
-FEWEST_COPIED: Final = 4
-LEAST_TURN_RAD: Final = 1e-2
+#: searches beside a reference mounted as found: turned, its place, and its delay
+MOUNTINGS: Final = 3
 
 
 def diagnose_in_full(
@@ -77,19 +72,26 @@ def diagnose_in_full(
     `model_name` is its file. `plan`: recommend runs. `observations` stand in place of the campaign's, and hold `model`
     and `applied`; `candidates` in place of the library, and `model_name` is then what simulated.
     """
-    sought, planted = _Sought(model, applied, exclude), observations
+    sought, planted = Sought(model, applied, exclude), observations
     campaign, unloaded = (campaign, "") if planted is not None else with_known_loads(campaign)
     copied = [note.run_id for note in pasted_rows(campaign.included())] if planted is None else []
-    campaign = _without(campaign, copied)
+    campaign = without_runs(campaign, copied)
     situation = sought.situation(campaign) if planted is None else sought.counted(campaign, planted, ())
-    if planted is None and (lone := _lone_run(situation)):
-        situation = replace(sought.situation(_without(campaign, lone)), omitted=lone)
-    given, found = _without(campaign, situation.omitted), situation.observations
+    if planted is None and (lone := lone_run(situation)):
+        situation = replace(sought.situation(without_runs(campaign, lone)), omitted=lone)
+    given, found = without_runs(campaign, situation.omitted), situation.observations
     own = planted is None and (bool(applied) or not np.isfinite(found.simulated).any())
     if own:
-        _check_copied(situation.campaign, predict(found))
+        refuse_copied(situation.campaign, predict(found))
     judge = partial(_judged, given, (seed, model_name, candidates, journeys), progress)
     diagnosis = judge(sought, situation)
+    doubtful = not diagnosis.recommended and diagnosis.kind is not VerdictKind.NO_GAP
+    if own and found.windowed and doubtful and (lone := lone_recordings(situation)):
+        others = without_runs(campaign, lone)
+        judged = partial(_judged, others, (seed, model_name, candidates, journeys), progress)
+        again = judged(sought, replace(sought.situation(others), omitted=lone))
+        if again.recommended or again.kind is VerdictKind.NO_GAP or not diagnosis.causes:
+            given, judge, diagnosis = others, judged, again
     unsure = all(cause.probability < EVEN_PROBABILITY for cause in diagnosis.causes)
     if own and not found.windowed and (unsure or diagnosis.recommended):
         along = replace(sought, into_windows=True)
@@ -115,7 +117,7 @@ def _judged(
     given: Campaign,
     asked: tuple[int, str, Sequence[Effect] | None, Campaign | None],
     progress: Progress,
-    sought: "_Sought",
+    sought: Sought,
     situation: Situation,
 ) -> Diagnosis:
     seed, model_name, candidates, journeys = asked
@@ -123,14 +125,20 @@ def _judged(
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not sought.applied else None
     nominal = predict(observations)
-    effects = library(observations, exclude=sought.exclude, declared=declared) if candidates is None else [*candidates]
-    offered = {effect.id for effect in effects}
+    outside = not sought.applied or any(name in campaign.runs.numbers for name in SIMULATED_POSE)
+    # what calib's own model predicts is integrated exactly
+    exclude = sought.exclude if outside else (*sought.exclude, IntegrationScheme.id)
+    effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
+    offered, every = {effect.id for effect in effects}, effects
     effects, noise, base, searched = _searched(nominal, effects, progress)
-    if refined := _refined(situation, searched.fitted):
-        again = sought.corrected(given, refined, situation.as_counted)
-        situation = replace(again, omitted=situation.omitted)
-        campaign, observations, nominal = situation.campaign, situation.observations, predict(situation.observations)
-        effects, noise, base, searched = _searched(nominal, effects, progress)
+    for number in range(MOUNTINGS):
+        if mounted := sought.mounted(given, situation, searched, every, refine=number == 0):
+            situation = sought.remounted(given, situation, mounted)
+            known = {fault.effect.id for fault in mounted} - {ReferenceYaw.id}
+            effects, nominal = [effect for effect in every if effect.id not in known], predict(situation.observations)
+            offered -= known
+            effects, noise, base, searched = _searched(nominal, effects, progress)
+    campaign, observations = situation.campaign, situation.observations
     progress(0, 0, "verdict")
     fitted = searched.fitted
     left_out = HeldOutFit(fitted, nominal, noise, searched.weighting)
@@ -187,138 +195,27 @@ def diagnosed(
     `name`: the model's, for the words of the diagnosis.
     """
     believed, effects = (None, ()) if model is None else model_of(FilePath(model), campaign)
+    mounted, acting = (campaign, effects) if model is None else with_mounting_of(FilePath(model), campaign, effects)
     planned = None
     if journeys is not None:
         from calib.gap.plan.next_runs import read_plan
 
         planned = read_plan(FilePath(journeys))
     found = diagnose_in_full(
-        campaign if model is None else with_sensor_of(FilePath(model), campaign),
+        mounted,
         seed=seed,
         exclude=tuple(exclude),
         model=believed,
-        applied=effects,
+        applied=acting,
         model_name=name,
         journeys=planned,
         progress=progress,
     )
     beyond = () if model is None else beyond_law(model, found.observations)
     found = replace(found, notes=(*found.notes, *beyond))
-    return found, tuple(effect for effect in effects if not effect.form.endswith(ELSEWHERE))
-
-
-@dataclass(frozen=True, slots=True)
-class _Sought:
-    model: OdometryModel | None
-    applied: Sequence[EffectSection]
-    exclude: tuple[str, ...]
-    into_windows: bool | None = None
-
-    def situation(self, campaign: Campaign) -> Situation:
-        """Return what was driven, blunders of the reference's mounting and of the encoders corrected."""
-        observations, notes = self.observed(campaign, self.applied)
-        nominal = predict(observations)
-        # effects that the model has stand where an outside simulator's poses would
-        bare = predict(self.observed(campaign, ())[0]) if self.applied else nominal
-        if turned := None if ReferenceYaw.id in self.exclude else find_turned(bare):
-            return self.corrected(campaign, turned, measured_gap(nominal, nominal))
-        if omitted := bad_runs(nominal):
-            return replace(self.situation(_without(campaign, omitted)), omitted=omitted)
-        return self.counted(campaign, observations, notes)
-
-    def corrected(self, campaign: Campaign, turned: TurnedReference, as_read: FloatArray | None) -> Situation:
-        campaign = turned.correct(campaign)
-        return self.counted(campaign, *self.observed(campaign, self.applied), (turned,), as_read)
-
-    def counted(
-        self,
-        campaign: Campaign,
-        observations: Observations,
-        notes: tuple[str, ...],
-        faults: tuple[TurnedReference, ...] = (),
-        as_counted: FloatArray | None = None,
-    ) -> Situation:
-        # `as_counted`: the gap as first read
-        nominal = predict(observations)
-        fault = None if EncoderBlunder.id in self.exclude else find_blunder(observations, nominal)
-        if fault is None:
-            return Situation(campaign, observations, notes, faults, as_counted)
-        if as_counted is None:
-            as_counted = measured_gap(nominal, nominal)
-        return Situation(campaign, corrected(observations, fault), notes, (*faults, fault), as_counted)
-
-    def observed(self, campaign: Campaign, applied: Sequence[EffectSection]) -> tuple[Observations, tuple[str, ...]]:
-        observations = observations_of(campaign, self.model, into_windows=self.into_windows)
-        if np.isfinite(observations.simulated).any():
-            observations = as_simulated(observations)
-        if blunder := steering_blunder(observations):
-            raise BadInputError(f"{campaign.name}: column steer_rad: {blunder}, then diagnose again")
-        check_distances(campaign, observations)
-        if not observations.usable.any():
-            raise RefusedError(
-                f"{campaign.name}: no run has a channel that can be compared with the simulation; an end pose needs "
-                "ref_x_m and ref_y_m together and a log where the path bends, or give distance_m or ref_theta_rad"
-            )
-        said = (*(note.sentence for note in implausible(campaign)), *notes_for_results(campaign))
-        if not applied:
-            return observations, said
-        changed, notes = with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
-        return changed, (*said, *notes)
-
-
-def _lone_run(situation: Situation) -> dict[str, float]:
-    """Return the one run, by id, its share off, beside which a recalibration leaves all others within the stated noise.
-
-    Only where nothing was driven twice: repeats tell noise by themselves. Another run of its kind stays.
-    """
-    nominal = predict(situation.observations)
-    noise, observations = estimate_noise(nominal, residuals(nominal, nominal)), situation.observations
-    rows = observations.usable.sum(axis=1)
-    if observations.windowed or noise.dof > 0.0 or not noise.supported or situation.omitted:
-        return {}
-    squares = squares_by_unit(nominal, noise, (whole := recalibrate(nominal, noise)).left)
-    run, kind = int(np.argmax(squares)), observations.labels["kind"]
-    if whole.chi_square <= most_square(int(rows.sum())) or (kind == kind[run]).sum() < 2:
-        return {}
-    weight = np.where(np.arange(len(rows)) == run, 1e12, 1.0)[:, None, None]
-    others = recalibrate(nominal, replace(noise, covariance=noise.covariance * weight))
-    if others.chi_square > most_square(int(rows.sum() - rows[run])):
-        return {}
-    return {str(observations.labels["run_id"][run]): float(misfit(others.path, nominal)[run])}
-
-
-def _without(campaign: Campaign, omitted: Collection[str]) -> Campaign:
-    if not omitted:
-        return campaign
-    excluded = campaign.runs.excluded | np.isin(campaign.runs.label("run_id"), list(omitted))
-    return replace(campaign, runs=replace(campaign.runs, excluded=excluded))
-
-
-def _refined(situation: Situation, fitted: Fitted) -> TurnedReference | None:
-    for form, theta, place in fitted.each():
-        if form.effect == ReferenceYaw.id and form.label == ReferenceYaw.OF_POSITION:
-            sd_rad = float(np.sqrt(fitted.covariance[place, place][0, 0]))
-            turned = (fault for fault in situation.faults if isinstance(fault, TurnedReference))
-            return next((fault.refined(float(theta[0]), sd_rad) for fault in turned), None)
-    return None
-
-
-def _check_copied(campaign: Campaign, nominal: Path) -> None:
-    observations = nominal.s
-    measured = observations.usable[:, Channel.HEADING]
-    turned_rad = nominal.end[measured, 2] + residuals(nominal, nominal)[measured, Channel.HEADING]
-    if measured.sum() < FEWEST_COPIED or np.abs(turned_rad).max() < LEAST_TURN_RAD:
-        return
-    travels_m = (observations.travel_left_m, observations.travel_right_m)
-    ways_m = np.stack([np.bincount(observations.unit, one, len(observations))[measured] for one in travels_m], axis=1)
-    off_rad = float(np.abs(turned_rad - ways_m @ np.linalg.lstsq(ways_m, turned_rad)[0]).max())
-    stated_rad = float(np.min(observations.sigma[measured, Channel.HEADING]))
-    if off_rad < COPIED_SHARE * stated_rad:
-        raise BadInputError(
-            f"{campaign.name}: column ref_theta_rad: found headings that agree with the counts within {off_rad:.1g} "
-            f"rad on all {measured.sum()} runs, where their standard uncertainty is {1e3 * stated_rad:.2g} mrad; "
-            "expected those of an instrument of its own: these were computed from the counts"
-        )
+    # a lever arm is written as the sensor's place
+    kept = [effect for effect in effects if effect.effect != ReferenceLeverArm.id]
+    return found, tuple(effect for effect in kept if not effect.form.endswith(ELSEWHERE))
 
 
 def _searched(

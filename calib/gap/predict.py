@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
+from calib.gap import AT_ENDS, LINE, TURN, WAY, Perturbation, Steps, X, Y, total_perturbation
+from calib.gap.observations import N_CHANNELS, POSE, Channel, Observations
 from calib.gap.observations.observation import let_go
-from calib.gap.steps import AT_ENDS, LINE, TURN, WAY, Perturbation, Steps, X, Y, total_perturbation
 from calib.types import BoolArray, FloatArray
 
 #: a run whose wheels turn by less than this in all, to and fro, was guided

@@ -12,7 +12,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.kinematics.blunders import Fault
 from calib.kinematics.drives import STEERING_ZERO
-from calib.kinematics.joint_fit import LOADS_VARY, Fitted, parted
+from calib.kinematics.joint_fit import LOADS_VARY, Fitted, noise_by_windows, parted
 from calib.kinematics.model import Model, Segments, replicates
 from calib.kinematics.readings import implausible_lengths
 from calib.kinematics.solve import solve
@@ -189,12 +189,12 @@ def judged(
     in_session = np.unique(session, return_inverse=True)[1][whole.segments.run] * len(alike) + alike
     within = left_within(fitted.solution, fitted.parameters.free, fitted.model.segments, session)
 
-    def of(columns: slice, travelled: FloatArray, usual: float) -> Residuals:
+    def of(columns: slice, travelled: FloatArray, usual: float, told: float) -> Residuals:
         at, left = used & seen[:, columns].any(axis=1), within[columns.start // 2]
         scatters = (_scatter(after[:, columns], group, at) for group in (in_session, alike, by_motion))
         *apart, over_all = (size if dof >= REPLICATE_DOF else 0.0 for size, dof in scatters)
         # with what speed and load do it is no less than noise
-        scatter = min(next(filter(None, apart), usual), over_all or np.inf)
+        scatter = min(next(filter(None, apart), min(usual, told)), over_all or np.inf)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
         # scatter over sessions that differ is no noise
         noise = min(scatter, left)
@@ -205,7 +205,9 @@ def judged(
     turned = np.mean(rotation_rad[used]) + np.mean(way_m[used])
     usual_m = math.hypot(math.sqrt(2.0) * campaign.reference.sigma_xy_m, USUAL_DRIFT * way_m.mean())
     usual_rad = math.hypot(math.sqrt(2.0) * campaign.reference.sigma_theta_rad, USUAL_DRIFT * turned)
-    position, heading = of(slice(0, 2), way_m, usual_m), of(slice(2, 3), rotated_rad, usual_rad)
+    told_m, told_rad = noise_by_windows(fitted, whole)
+    position = of(slice(0, 2), way_m, usual_m, told_m)
+    heading = of(slice(2, 3), rotated_rad, usual_rad, told_rad)
     level, reasons = judge(position)
     level_of_heading, more = judge(heading, "heading", "mrad")
     # a factor that is recognised says by itself that the length is off

@@ -16,13 +16,13 @@ from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.settings import Reference
 from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
+from calib.kinematics import Recording, recording_of
 from calib.kinematics.adequacy import LENGTHS_ALONE, OUTLIER_CHANCE, bad_windows, judged
 from calib.kinematics.blunders import Fault, corrected, still_counters
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, SENSOR, Drive, first_scales, parameters_of
 from calib.kinematics.joint_fit import LONGEST_STEP_S, MEAN_RADIUS, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments, window_segments
 from calib.kinematics.readings import factor_faults
-from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, RunTrace, Umbmark, noise_sizes
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.uncertainty import ENOUGH_RUNS

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.errors import CalibError
-from calib.kinematics import drives
+from calib.kinematics import Recording, drives
 from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import drive_of
@@ -28,7 +28,6 @@ from calib.kinematics.readings import (
     readings,
     unchanged,
 )
-from calib.kinematics.recording import Recording
 from calib.kinematics.solve import LONGEST, RIDGE, solve
 from calib.types import FloatArray
 

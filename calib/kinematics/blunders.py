@@ -12,9 +12,9 @@ from calib.errors import RefusedError
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
+    from calib.kinematics import Recording
     from calib.kinematics.drives import Drive
     from calib.kinematics.model import Model, Segments
-    from calib.kinematics.recording import Recording
 
 #: relative distance of a ratio from its factor
 NEAR: Final = 0.08

@@ -13,11 +13,10 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.wheels import smoothed_speed_mps
-from calib.kinematics import drives
+from calib.kinematics import Recording, drives
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import Fitted
 from calib.kinematics.model import Model, Segments, measured_between
-from calib.kinematics.recording import Recording
 from calib.kinematics.uncertainty import whitened
 from calib.types import FloatArray
 

@@ -10,7 +10,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
-from calib.kinematics import blunder_search, departures, joint_fit
+from calib.kinematics import Recording, blunder_search, departures, joint_fit, recording_of
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import divisions, geometry_of, of_kinds
 from calib.kinematics.blunders import Fault, corrected, times_fault
@@ -18,7 +18,6 @@ from calib.kinematics.drives import SENSOR, Drive, nominal_turn
 from calib.kinematics.joint_fit import Delay, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Segments, end_pose_segments
 from calib.kinematics.readings import implausible_lengths
-from calib.kinematics.recording import Recording, recording_of
 from calib.kinematics.result import Geometry, Transfer
 from calib.kinematics.uncertainty import ENOUGH_RUNS, left_within
 from calib.types import FloatArray, Progress, silent, stepped
@@ -86,8 +85,16 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
         # closed loops end alike in a mirror, and by exchanged wheels; clocks do not matter to them
         codes = {fault.code for fault in by_windows.faults}
         told = by_windows.passed or MIRRORED & codes or (codes - OF_CLOCKS and not by_windows.misfit)
-        return by_windows if told else estimated("end_poses")
+        return by_windows if told else _told_by(by_windows, estimated("end_poses"))
     return by_windows
+
+
+def _told_by(windows: Geometry, ends: Geometry) -> Geometry:
+    # what windows show, such as a clock or a sensor that was moved, hardly shows at ends
+    said = [
+        f"By windows of the recordings the result is {windows.verdict.value}: {why.rstrip('.')}." for why in windows.why
+    ]
+    return replace(ends, notes=(*ends.notes, *said[:1]))
 
 
 def _estimated(task: "_Task", recording: Recording, *, asked: bool) -> Geometry:

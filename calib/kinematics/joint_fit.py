@@ -15,12 +15,11 @@ from calib.campaign.checks.design import listed
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError
-from calib.kinematics import drives
+from calib.kinematics import Recording, drives
 from calib.kinematics.blunders import CLEARLY_LESS
 from calib.kinematics.drives import GYRO_SCALE, NOMINAL_STD, SENSOR, STEERING_SCALE, STEERING_ZERO, Drive, Parameters
 from calib.kinematics.model import Model, Segments
-from calib.kinematics.recording import Recording
-from calib.kinematics.solve import DEGREES, Shared, Solution, planned, solve
+from calib.kinematics.solve import DEGREES, Shared, Solution, kernels, planned, solve
 from calib.kinematics.uncertainty import Uncertainty, clustered, expected, flattened, whitened
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -373,3 +372,14 @@ def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArra
     n_common = len({STEERING_ZERO, STEERING_SCALE} & set(fitted.parameters.free_names))
     known = float(np.sum(np.square(deviation)) / max(n_groups - n_common, 1))
     return values, deviation, float(np.sqrt(known + spread**2 * np.mean(1.0 / (1.0 + size))))
+
+
+def noise_by_windows(fitted: Fitted, whole: Model) -> tuple[float, float]:
+    """Return the noise of whole runs, in m and rad, by that of their windows; infinite where none were used."""
+    if len(fitted.model.segments) <= len(whole.segments):
+        return np.inf, np.inf
+    values, scales = fitted.solution.values, fitted.solution.scales
+    body, path = whole.motion(values).body, whole.predict(values).path
+    variances = np.einsum("knii->kni", kernels(path, body, whole.segments, float(values[-2])))
+    end = np.tensordot(scales, variances, 1).mean(axis=0)
+    return float(np.sqrt(end[:2].sum())), float(np.sqrt(end[2]))

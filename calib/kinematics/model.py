@@ -6,8 +6,7 @@ from typing import Final
 import numpy as np
 
 from calib.errors import RefusedError
-from calib.kinematics import drives
-from calib.kinematics.recording import Recording, parts_seen
+from calib.kinematics import Recording, drives, parts_seen
 from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 #: windows as parts of a block: whole, half, quarter

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.model import Campaign
+from calib.kinematics import Recording
 from calib.kinematics.blunders import LARGEST_STEERING_RAD, NEAR, OF_A_COURSE, TWIST, Fault
 from calib.kinematics.drives import Drive, nominal_turn
 from calib.kinematics.joint_fit import Fitted
-from calib.kinematics.recording import Recording
 from calib.types import BoolArray, FloatArray, since_start
 from calib.vehicle import SKID_TRACK
 
@@ -101,12 +101,15 @@ def readings(
 def _referred(change: OfArray) -> Change:
     def changed(recording: Recording) -> Recording:
         ends, other = np.asarray(change(recording.end_pose.T).T), recording.with_reference(change(recording.reference))
-        # in a map an end is seen from the start's own heading
-        known = np.isfinite(other.reference).all(axis=0)
-        followed = np.add.reduceat(known, recording.offsets[:-1], dtype=np.int64)[:, None] > 1
-        return replace(other, end_pose=np.where(followed, other.end_pose, ends))
+        return replace(other, end_pose=np.where(_followed(other)[:, None], other.end_pose, ends))
 
     return changed
+
+
+def _followed(recording: Recording) -> BoolArray:
+    # in a map an end is seen from the start's own heading
+    known = np.isfinite(recording.reference).all(axis=0)
+    return np.add.reduceat(known, recording.offsets[:-1], dtype=np.int64) > 1
 
 
 def _linear(matrix: Sequence[Sequence[float]]) -> Change:
@@ -156,27 +159,35 @@ def _yaw_rates(recording: Recording) -> Iterator[Reading]:
 
 
 def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
-    z = np.concatenate([recording.reference[2], recording.end_pose[:, 2]])
+    z = np.append(recording.reference[2], np.where(_followed(recording), 0.0, recording.end_pose[:, 2]))
     if not (np.abs(z[np.isfinite(z)]) <= LARGEST_Z).all():
         return
-    told = since_start(nominal_turn(drive, recording.steps), recording.offsets)
+    told, last = since_start(nominal_turn(drive, recording.steps), recording.offsets), recording.offsets[1:] - 1
 
     def headings(recording: Recording) -> Recording:
-        reference, end_pose = recording.reference.copy(), recording.end_pose.copy()
-        reference[2] = _of_quaternion(reference[2], told)
-        end_pose[:, 2] = _of_quaternion(end_pose[:, 2], told[recording.offsets[1:] - 1])
-        return replace(recording, reference=reference, end_pose=end_pose)
+        # in a map a run starts at a heading of its own, of which z leaves two
+        reference, first = recording.reference.copy(), recording.reference[2, recording.offsets[:-1]]
+        starts = np.nan_to_num([2.0 * np.arcsin(first), 2.0 * (np.pi - np.arcsin(first))])
+        of_start = [_of_quaternion(reference[2], told + np.repeat(at, np.diff(recording.offsets))) for at in starts]
+        off = [np.add.reduceat(np.nan_to_num(off), recording.offsets[:-1]) for _, off in of_start]
+        nearer = np.repeat(np.argmin(off, axis=0), np.diff(recording.offsets))
+        reference[2] = np.where(nearer, of_start[1][0], of_start[0][0])
+        other, ends = recording.with_reference(reference), _of_quaternion(recording.end_pose[:, 2], told[last])[0]
+        ends = np.where(_followed(other), other.end_pose[:, 2], ends)
+        return replace(other, end_pose=np.column_stack([other.end_pose[:, :2], ends]))
 
     text = "ref_theta_rad: found the z of a quaternion where a heading in rad is expected; take 2 atan2(z, w)"
     yield Reading(Fault("heading_quaternion", text), headings, _scaled(1.0, 1.0, 0.0))
 
 
-def _of_quaternion(z: FloatArray, told_rad: FloatArray) -> FloatArray:
+def _of_quaternion(z: FloatArray, told_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    # the heading nearest to what the wheels tell, and how far it is from that
     half = np.arcsin(np.clip(z, -1.0, 1.0))
     headings = np.stack([2.0 * half, 2.0 * (np.pi - half)])
     headings += 4.0 * np.pi * np.rint((told_rad - headings) / (4.0 * np.pi))
     nearest = np.argmin(np.abs(headings - told_rad), axis=0)
-    return np.asarray(np.take_along_axis(headings, nearest[None], axis=0)[0] + 0.0 * z)
+    heading = np.where(nearest, headings[1], headings[0]) + 0.0 * z
+    return heading, np.abs(heading - told_rad)
 
 
 def _units() -> Iterator[Reading]:

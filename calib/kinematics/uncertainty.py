@@ -7,9 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from calib.kinematics import Recording
 from calib.kinematics.drives import Parameters
 from calib.kinematics.model import Segments
-from calib.kinematics.recording import Recording
 from calib.kinematics.solve import DEGREES, Shared, Solution
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
 

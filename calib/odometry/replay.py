@@ -14,7 +14,7 @@ from calib.campaign.wheels import ASIDE, counted_source, logged_columns, on_one_
 from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import Result, plain
 from calib.errors import RefusedError
-from calib.odometry.integrate import end_poses, integrate
+from calib.odometry import end_poses, integrate
 from calib.odometry.poses import PoseErrors, Poses, pose_errors, poses_of_vehicle
 from calib.odometry.routes import loads_in_steps, radii_of_model, radii_under_load, travel_from_counts
 from calib.radius.law import RadiusLaw, within_law
@@ -93,7 +93,7 @@ def replay(
     scheme: str = "exact",
     runtime_runs: int = 20,
 ) -> Replay:
-    """Replay the logged runs of a campaign; for schemes see `calib.odometry.integrate.SCHEMES`.
+    """Replay the logged runs of a campaign; for schemes see `calib.odometry.SCHEMES`.
 
     `rng`: for the bootstrap; `runtime_runs`: fed to the runtime. Raises RefusedError where no run has a log, a
     reference end pose and valid wheel loads.

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from calib.campaign.settings import Encoder, OdometryModel
 from calib.campaign.settings_file import load_toml
 from calib.errors import ROUTE_POINTS, BadFileError, BadInputError, refuse_more
-from calib.odometry.integrate import end_poses, integrate
+from calib.odometry import end_poses, integrate
 from calib.odometry.poses import Poses, read_tum, sinc
 from calib.radius.law import RadiusLaw
 from calib.types import FloatArray, IntArray, floats

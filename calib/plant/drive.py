@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
+from calib.plant import Moment, NoiseDraw, World
 from calib.plant.design import PITCH_M, RouteTables, tabulate
-from calib.plant.world import Moment, NoiseDraw, World
 from calib.types import BoolArray, FloatArray, IntArray
 
 STEP_S: Final = 0.02

@@ -6,9 +6,8 @@ from typing import Final
 import numpy as np
 
 from calib.errors import BadInputError
-from calib.plant import wheels
+from calib.plant import Act, Form, Knobs, Moment, World, added, drawn, either_side, scaled, wheels, while_driving
 from calib.plant.design import Design, conditions
-from calib.plant.world import Act, Form, Knobs, Moment, World, added, drawn, either_side, scaled, while_driving
 from calib.types import BoolArray, FloatArray
 
 
@@ -159,6 +158,11 @@ def _outside_scheme(world: World, size: FloatArray, _knobs: Knobs) -> None:
     world.euler = np.maximum(world.euler, np.sign(size))
 
 
+#: form -> share of the counts lost at a speed
+_BY_SPEED: Final[dict[str, Callable[[FloatArray], FloatArray]]] = {
+    "squared": lambda v: (v / 0.5) ** 2,
+    "threshold": lambda v: np.maximum(v - 0.3, 0.0) / 0.2,
+}
 _TOWARDS = drawn(towards_rad=(-np.pi, np.pi))
 _LASER = "laser corridor lengths turns poses"
 
@@ -169,16 +173,7 @@ INSTRUMENTS = (
     Form("reference_lever_arm", "plain", 8e-3, "m", _lever, "turns poses", _TOWARDS),
     Form("reference_yaw", "plain", 4e-3, "rad", added("ref_yaw_rad"), "poses turns"),
     Form("reference_latency", "plain", 0.05, "s", added("latency_s"), "flying speeds poses"),
-    Form("lost_counts", "squared", 1e-3, "1", _lost(lambda v: (v / 0.5) ** 2), "speeds poses", either_side),
-    Form(
-        "lost_counts",
-        "threshold",
-        1e-3,
-        "1",
-        _lost(lambda v: np.maximum(v - 0.3, 0.0) / 0.2),
-        "speeds poses",
-        either_side,
-    ),
+    *(Form("lost_counts", form, 1e-3, "1", _lost(by), "speeds poses", either_side) for form, by in _BY_SPEED.items()),
     # exactly a larger radius of that wheel
     Form("lost_counts", "constant", 2e-3, "1", _lost(lambda _v: 1.0), "poses", either_side),
     *(

@@ -8,15 +8,15 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign import write_campaign
 from calib.campaign.model import REFERENCE_POSE, SIMULATED_POSE, Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.campaign.tables import write_campaign
 from calib.errors import FLEET_MONTHS, FLEET_RUNS, MissingExtraError, refuse_more
 from calib.io import write_bytes
+from calib.plant import Cause, Causes, Noise, NoiseDraw, World, build_world, draw_noise, random_noise, wheel_loads
 from calib.plant.design import REFERENCE_LOAD_N, Design, good_design
 from calib.plant.drive import Record, drive, reference_poses, simulated_poses, steering_readings, with_blunder
 from calib.plant.effects import find
-from calib.plant.world import Cause, Causes, Noise, NoiseDraw, World, build_world, draw_noise, random_noise, wheel_loads
 from calib.types import FloatArray, IntArray
 
 
@@ -39,8 +39,7 @@ def _columns(
         numbers |= dict(zip(REFERENCE_POSE, measured, strict=True))
     if design.outside:
         simulated = np.round(simulated_poses(world, record), 5)
-        names = SIMULATED_POSE
-        numbers |= dict(zip(names, np.where(posed, simulated, np.nan), strict=True))
+        numbers |= dict(zip(SIMULATED_POSE, np.where(posed, simulated, np.nan), strict=True))
         if "distance_m" in numbers:
             numbers["sim_distance_m"] = np.where(design.corridor, simulated[0], np.nan)
     if world.weave_m.any():
@@ -146,7 +145,7 @@ def make_campaign(
     model: OdometryModel | None = None,
     name: str = "campaign",
 ) -> Campaign:
-    """Drive a design in a world with a known truth, in memory; see `calib.campaign.tables.write_campaign`.
+    """Drive a design in a world with a known truth, in memory; see `calib.campaign.write_campaign`.
 
     `truth`: ``{effect: size}`` or ``{"effect/form": size}``; NaN is the typical size. `noise`, `model` (what the
     simulator believes): drawn at random where missing.

@@ -10,11 +10,11 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.settings import OdometryModel
+from calib.plant import Cause, Causes, Noise, NoiseDraw, World, build_world, quiet
 from calib.plant.design import Design
 from calib.plant.drive import Record, drive, reference_poses, simulated_poses, steering_readings
 from calib.plant.effects import ALL, find
 from calib.plant.make import apply_causes
-from calib.plant.world import Cause, Causes, Noise, NoiseDraw, World, build_world, quiet
 from calib.types import FloatArray, floats, grouped
 
 #: effects that a recalibration absorbs: their signal is without one

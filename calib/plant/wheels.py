@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from calib.plant.design import COLUMNS, REFERENCE_LOAD_N, Design
-from calib.plant.world import (
+from calib.plant import (
     Draw,
     Form,
     Knobs,
@@ -16,6 +15,7 @@ from calib.plant.world import (
     standardised,
     while_driving,
 )
+from calib.plant.design import COLUMNS, REFERENCE_LOAD_N, Design
 from calib.types import FloatArray
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
 from calib.campaign.checks.design import HIDING, along_load, partial_slope, way
+from calib.radius import Groups, breusch_pagan, groups_of, moved_by, standing_out
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
-from calib.radius.sessions import Groups, breusch_pagan, groups_of, moved_by, standing_out
 from calib.types import FloatArray, StrArray, few_digits
 
 #: p-values below which a check gives a note, and the law should not be used; with some nine checks a wheel the usual

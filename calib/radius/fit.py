@@ -14,12 +14,11 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadInputError, ImplausibleError, RefusedError
-from calib.radius import effective
+from calib.radius import effective, groups_of
 from calib.radius.checks import FAIL_BELOW, MAX_CELLS, NOTE_BELOW, UM, beside_load, by_t, with_checks, without_loads
 from calib.radius.effective import EffectiveRadii, effective_radii
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, fit_wheel, t_quantile
 from calib.radius.result import PLAUSIBLE, Fit, Setup
-from calib.radius.sessions import groups_of
 from calib.types import FloatArray, IntArray, StrArray
 
 #: largest reference load over the largest driven; further out the line has no digits left

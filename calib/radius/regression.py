@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
+from calib import radius as sessions
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
-from calib.radius import sessions
+from calib.radius import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
 from calib.radius.law import UPPER, LineEstimate, RadiusLaw, WheelLaw
-from calib.radius.sessions import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
 if TYPE_CHECKING:

@@ -13,10 +13,10 @@ from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Referen
 from calib.documents import CHECKSUM_KEY, VERSION, Result, checksum, csv_text, plain, to_json
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.io import settle, write_files
+from calib.radius import groups_of
 from calib.radius.effective import Component, EffectiveRadii, UnusedRun
 from calib.radius.law import LARGEST_DOF, RadiusLaw, half_width
 from calib.radius.regression import RUN_ARRAYS, Check, WheelFit, from_plain, paired_law
-from calib.radius.sessions import groups_of
 from calib.types import Row
 from calib.vehicle import Vehicle
 

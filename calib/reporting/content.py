@@ -13,7 +13,7 @@ from calib.documents import plain_fields, to_json
 from calib.errors import BadInputError, RefusedError
 from calib.io import refuse_existing
 from calib.radius.result import Fit, ingest_notes
-from calib.reporting.blocks import Items, Notice, Picture, Section, catalogue, named, paragraph
+from calib.reporting import Items, Notice, Picture, Section, catalogue, named, paragraph
 from calib.reporting.formatting import capital, prose
 from calib.reporting.source import Source, logo_of, number_of, source_of, stated_of
 from calib.reporting.topics.fit import assumed_text

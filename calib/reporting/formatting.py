@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import groupby, zip_longest
 from typing import Final
 
-from calib.reporting import blocks as made_of
-from calib.reporting.blocks import Block, Column, Equation, Facts, Heading, Items, Notice, Picture, Section, Table, Text
+from calib import reporting
+from calib.reporting import Block, Column, Equation, Facts, Heading, Items, Notice, Picture, Section, Table, Text
 
 MISSING: Final = "–"
 #: thousandths of m or rad are printed below
@@ -174,7 +174,7 @@ WIDTH: Final = 80
 #: widest names in a list of facts
 _NAME: Final = 26
 _SIGNS: Final = str.maketrans({"−": "-", "→": "->", "\u2007": " ", "\u2008": " ", "\u200b": "", "\u00a0": " "})
-EQUATIONS: Final = made_of.catalogue()["equation"]
+EQUATIONS: Final = reporting.catalogue()["equation"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,8 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.localise.along_run import traces_of
-from calib.gap.observations.arrays import Observations
+from calib.gap.localise import traces_of
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import measured_poses
 from calib.reporting.exports.mcap_paths import tracks_of
 from calib.reporting.figures.gap import GapArrays, rms
@@ -82,8 +82,7 @@ def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, v
     options = [f"{label} {name}" for label, key in columns.items() for name in natural(gap.labels[key])]
     choice = MultiChoice(name="choice", title="highlight", options=options, value=[], width=300)
     tools = [_changed(choice, "highlight", source=source), _colour_choice(gap, source, legend), *tools]
-    places = ALONG.items()
-    shown = [name for name, place in places if any(np.isfinite(path[:, place]).any() for path in along)]
+    shown = [name for name, place in ALONG.items() if any(np.isfinite(path[:, place]).any() for path in along)]
     runs = [_along_panel(source, name) for name in shown]
     if gap.offset_m is not None:
         plan, slider = _map_panel(gap, source)
@@ -136,8 +135,7 @@ def _lines(plot: figure, x: str, y: str, source: ColumnDataSource, **style: Any)
 
 
 def _points(plot: figure, x: str, y: str, source: ColumnDataSource) -> None:
-    points = plot.scatter(x, y, source=source, size=7, color="colour", alpha=0.8, nonselection_alpha=FADED_ALPHA)
-    _hover(plot, points)
+    _hover(plot, plot.scatter(x, y, source=source, size=7, color="colour", alpha=0.8, nonselection_alpha=FADED_ALPHA))
 
 
 def _map_panel(gap: GapArrays, source: ColumnDataSource) -> tuple[figure, Model]:

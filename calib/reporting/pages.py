@@ -18,9 +18,9 @@ from calib.campaign.model import Campaign
 from calib.documents import Result, csv_text, plain, templates_of, to_json
 from calib.errors import CalibError
 from calib.io import write_files
-from calib.reporting.blocks import Block, Heading, Picture, Section
+from calib.reporting import Block, Heading, Picture, Section
 from calib.reporting.content import Attachment, Report
-from calib.reporting.figures.style import known, render_all
+from calib.reporting.figures import known, render_all
 from calib.reporting.formatting import EQUATIONS
 from calib.reporting.source import number_of
 from calib.reporting.topics import content_of
@@ -180,8 +180,8 @@ def write_fleet(fleet: "Fleet | Survey", into: Path, *, name: str, issued: str, 
     `name`, `issued`: of the fleet, and date of issue, see `Report`; `force`: in place of others.
     """
     from calib.fleet.run import Fleet
-    from calib.reporting.figures.challenge import fleet_figures
-    from calib.reporting.topics.fleet import fleet_content
+    from calib.reporting.figures.studies import fleet_figures
+    from calib.reporting.topics.geometry import fleet_content
 
     document, blocks = fleet.to_dict(), fleet_content(fleet, page=True)
     view, text = document["fleet"], to_json(document)

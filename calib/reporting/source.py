@@ -13,7 +13,7 @@ from calib.campaign.model import Campaign
 from calib.documents import to_json
 from calib.errors import BadFileError, RefusedError, refuse_other_than_date
 from calib.io import inside
-from calib.reporting.blocks import catalogue
+from calib.reporting import catalogue
 from calib.types import Progress, silent
 
 if TYPE_CHECKING:

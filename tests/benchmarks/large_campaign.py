@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign
-from calib.campaign.tables import write_campaign
 from tests.benchmarks.test_diagnosis import campaign_of, of_rows
 
 

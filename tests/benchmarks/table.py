@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign
-from calib.campaign.tables import write_campaign
-from calib.odometry.integrate import integrate
+from calib.odometry import integrate
 from calib.odometry.poses import Poses
 from tests.benchmarks import measured, reading_bag, test_odometry
 from tests.benchmarks.large_campaign import in_sessions

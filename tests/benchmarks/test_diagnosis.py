@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign, Logs
-from calib.campaign.tables import write_campaign
 from calib.gap import diagnose as whole
 from calib.gap.inference import fit as fitting
 from calib.gap.inference import local_search, noise

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from calib.campaign.tables import write_campaign
+from calib.campaign import write_campaign
 from tests.benchmarks.large_campaign import in_sessions
 from tests.benchmarks.measured import Spent, least, spent
 from tests.benchmarks.test_diagnosis import campaign_of, of_rows

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from calib.odometry.integrate import end_poses, integrate
+from calib.odometry import end_poses, integrate
 from calib.odometry.poses import Poses
 from calib.odometry.routes import Axle, Route, end_of_route, find_route
 

@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.campaign import write_campaign
 from calib.campaign.read import read_campaign
-from calib.campaign.tables import write_campaign
 from tests.campaign.making import campaign
 
 ROUNDS, MOST_ROUNDS = 4, 40

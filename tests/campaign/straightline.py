@@ -17,9 +17,9 @@ from typing import Literal
 
 import numpy as np
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.campaign.tables import write_campaign
 from calib.vehicle import Vehicle
 
 RADIUS_M = 0.1

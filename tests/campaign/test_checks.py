@@ -53,6 +53,16 @@ def test_positions_on_a_map_are_judged_from_the_start(fault: Fault, said: list[s
     assert not list(CHECKS["implausible"](made))
 
 
+def test_positions_in_degrees_on_the_globe_are_named() -> None:
+    """A degree of latitude is 111 km: they move by a hundred-thousandth of what the wheels rolled."""
+    made = campaign()
+    rolled = np.concatenate([np.linspace(0.0, 8.0, length) for length in made.logs.lengths])
+    path = {"ref_x_m": 11.0 + 9e-6 * rolled, "ref_y_m": 48.0 + 0.0 * rolled}
+    placed = replace(made, logs=replace(made.logs, columns={**made.logs.columns, **path}))
+    placed = replace(placed, reference=replace(placed.reference, frame="map"))
+    assert any("degrees of latitude and longitude?" in note.text for note in CHECKS["implausible"](placed))
+
+
 def test_a_ratio_that_all_runs_of_such_loads_have_is_not_swapped() -> None:
     """Loads that lie mirrored beside a step of the radii, which the other runs do not know."""
     made = without_logs(campaign(runs_per_load=4))

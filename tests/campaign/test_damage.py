@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.tables import write_campaign
+from calib.campaign import write_campaign
 from calib.cli.main import run
 from tests.campaign.damage import DAMAGES
 from tests.campaign.making import campaign

@@ -13,10 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign import log_reading, model
+from calib.campaign import log_reading, model, write_campaign
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.campaign.tables import write_campaign
 from calib.errors import BadFileError
 from tests.campaign.making import campaign
 

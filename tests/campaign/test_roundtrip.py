@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis.extra.numpy import arrays
 
+from calib.campaign import write_campaign
 from calib.campaign.model import NUMERIC_COLUMNS, Campaign, Logs, RunTable
 from calib.campaign.read import read_campaign
 from calib.campaign.settings import Encoder, Odometry, Reference
-from calib.campaign.tables import write_campaign
 from calib.errors import BadInputError
 from calib.vehicle import Vehicle
 from tests.campaign.making import campaign

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from calib.campaign import write_campaign
 from calib.campaign.read import read_campaign
-from calib.campaign.tables import write_campaign
 from tests.campaign.straightline import COUNTS_PER_REV, RADIUS_M, convert
 
 

@@ -11,10 +11,10 @@ import sys
 from collections import defaultdict
 from functools import partial
 
+from calib.challenge import Seeds, each, recipes
 from calib.challenge.cases import Recipe, campaigns_of, truth_of
 from calib.challenge.judge import Judged, judge
 from calib.challenge.score import wilson
-from calib.challenge.seal import Seeds, each, recipes
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.library import effect_class
 

@@ -18,16 +18,16 @@ from unittest import mock
 
 import numpy as np
 
+from calib.challenge import Seeds, each, recipes
 from calib.challenge.cases import Recipe, Truth, campaigns_of, case_design, truth_of
-from calib.challenge.seal import Seeds, each, recipes
 from calib.gap import diagnose as diagnosis
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.inference.scale_evidence import ScaleEvidence
 from calib.gap.predict import Path
+from calib.plant import build_world, quiet
 from calib.plant.drive import drive
 from calib.plant.signal import covariance
-from calib.plant.world import build_world, quiet
 from calib.types import FloatArray
 
 SEED = 771155

@@ -12,7 +12,7 @@ from calib.challenge.cases import Recipe, Truth
 from calib.challenge.judge import judge
 from calib.challenge.score import clopper_pearson, score_of, wilson
 from calib.documents import plain
-from calib.plant.world import Cause, Noise
+from calib.plant import Cause, Noise
 
 MODEL = OdometryModel(0.1, 0.1, 0.7, 300.0)
 

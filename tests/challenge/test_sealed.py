@@ -13,14 +13,15 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
+from calib.challenge import GROUPS, HASH, PUBLIC, Seeds, make, read_seeds, recipes, truth_path
 from calib.challenge.cases import Truth
 from calib.challenge.run import run
 from calib.challenge.score import open_truth, score
-from calib.challenge.seal import GROUPS, HASH, PUBLIC, Seeds, make, read_seeds, recipes, truth_path
 from calib.documents import plain
 from calib.errors import BadFileError, BadInputError
 from calib.plant.effects import effects
-from calib.reporting.figures.challenge import board_figure, confusion_figure, save
+from calib.reporting.figures import save
+from calib.reporting.figures.studies import board_figure, confusion_figure
 
 ROOT = Path(__file__).resolve().parents[2]
 FULL = {

@@ -24,10 +24,10 @@ def computed_once(diagnosing: Callable[..., Diagnosis], estimating: Callable[...
 @pytest.fixture
 def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set each figure as SVG, and give its other files their format's name: the formats are the figures' own tests'."""
-    from calib.reporting.figures.style import render
+    from calib.reporting.figures import render
 
     monkeypatch.setattr(
-        "calib.reporting.figures.style.render_all",
+        "calib.reporting.figures.render_all",
         lambda figure, forms: {form: render(figure, form) if form == "svg" else form.encode() for form in forms},
     )
 
@@ -35,6 +35,4 @@ def drawn_once(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def files_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """Build each figure, and give all its files their format's name: another test has the same figures drawn."""
-    monkeypatch.setattr(
-        "calib.reporting.figures.style.render_all", lambda _, forms: {form: form.encode() for form in forms}
-    )
+    monkeypatch.setattr("calib.reporting.figures.render_all", lambda _, forms: {form: form.encode() for form in forms})

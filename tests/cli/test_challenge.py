@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.challenge.seal import truth_path
+from calib.challenge import truth_path
 from calib.cli.main import run
 
 SEEDS = """

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.campaign.tables import write_campaign
+from calib.campaign import write_campaign
 from calib.cli.main import run
 from tests.campaign.making import campaign
 

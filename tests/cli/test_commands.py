@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from calib.campaign import write_campaign
 from calib.campaign.check import notes_for_results
 from calib.campaign.read import read_campaign
-from calib.campaign.tables import write_campaign
-from calib.cli.commands import COMMANDS, SUMMARIES
+from calib.cli import COMMANDS, SUMMARIES
 from calib.cli.main import run
 from tests.campaign.making import campaign
 

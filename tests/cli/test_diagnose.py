@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.campaign.tables import write_campaign
+from calib.campaign import write_campaign
 from calib.cli.main import run
 from calib.gap.decision.diagnosis import VerdictKind
 from tests.campaign.making import campaign, with_log_columns, with_numbers

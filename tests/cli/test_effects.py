@@ -84,7 +84,7 @@ def test_a_signature_is_drawn_once(
     """Three forms of one picture; an existing one is refused."""
     # how a figure becomes bytes has its own tests
     monkeypatch.setattr(
-        "calib.reporting.figures.style.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
+        "calib.reporting.figures.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
     )
     assert run(["effects", "curve_scrub", "--figures", str(tmp_path)]) == 0
     names = sorted(path.name for path in tmp_path.iterdir())

@@ -157,7 +157,7 @@ def test_help_shows_an_example(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_each_format_says_what_to_do_next() -> None:
     from calib.coefficients.formats import FORMATS
-    from calib.reporting.blocks import next_step
+    from calib.reporting import next_step
     from calib.reporting.exports import FORMATS as FROM_CAMPAIGNS
 
     for name in (*FORMATS, *FROM_CAMPAIGNS):
@@ -167,7 +167,7 @@ def test_each_format_says_what_to_do_next() -> None:
 @pytest.mark.parametrize("to", ["json", "mjcf", "urdf", "sdf", "c_effects"])
 def test_a_file_of_coefficients_is_not_said_to_be_diagnosed(to: str) -> None:
     """A diagnosis takes a campaign: where the source is none, the next step leaves its name open."""
-    from calib.reporting.blocks import next_step
+    from calib.reporting import next_step
 
     assert "diagnose CAMPAIGN" in next_step(f"export {to}", c=Path("coefficients.json"), file=Path("file"))
     assert f"diagnose {SAMPLE}" in next_step(f"export {to}", c=SAMPLE, file=Path("file"))

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.campaign import write_campaign
 from calib.campaign.read import read_campaign
-from calib.campaign.tables import write_campaign
 from calib.cli.main import run
 from calib.radius.result import read_result
 from calib.reporting.content import compose
@@ -136,7 +136,7 @@ def test_the_figures_are_those_of_the_report(
     """Every picture of the report's pages, no other; existing ones are refused before anything is fitted."""
     # how a figure becomes bytes has its own tests
     monkeypatch.setattr(
-        "calib.reporting.figures.style.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
+        "calib.reporting.figures.render_all", lambda _figure, forms: {form: form.encode() for form in forms}
     )
     assert run(["fit", str(folder), "--figures", str(tmp_path / "f")]) == 0
     shown = compose(source_of(read_campaign(folder), issued="2026-01-01")).pictures

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign.tables import write_campaign
+from calib.campaign import write_campaign
 from calib.cli.main import run
 from calib.coefficients.file import load_coefficients
 from tests.kinematics.campaigns import Truth, campaign, mixed

@@ -48,7 +48,7 @@ def exported(
     assert run(["fit", str(campaign), "--into", str(fit)]) == 0
     with pytest.MonkeyPatch.context() as patch:
         # what figures show is the tests' of figures
-        patch.setattr("calib.reporting.blocks.Picture.svg", BLANK)
+        patch.setattr("calib.reporting.Picture.svg", BLANK)
         assert run(["report", str(fit), "--into", str(folder / "report.pdf")]) == 0
     assert run(["export", str(fit), "--to", "json", "--output", str(folder / "coefficients.json")]) == 0
     assert run(["export", str(fit), "--to", "c", "--output", str(folder / "calib_coefficients.h")]) == 0

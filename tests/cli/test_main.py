@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from calib import __version__
-from calib.cli.commands import COMMANDS
+from calib.cli import COMMANDS
 from calib.cli.main import as_typed, run
 
 

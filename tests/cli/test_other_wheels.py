@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.campaign.tables import write_campaign
+from calib.campaign import write_campaign
 from calib.campaign.wheels import logged_columns
 from calib.cli.main import run
 from calib.reporting.topics.runs import after_check

@@ -16,7 +16,7 @@ from calib.coefficients.formats import ExportOptions
 from calib.coefficients.formats.for_vehicle import EFFECTS_NAME, OTHER_FORMS, effects_header, known_effects
 from calib.coefficients.sections import EffectSection
 from calib.gap.effects.library import every_effect, section_of
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.runtime import Effects, Run
 from calib.runtime import effects as runtime
 from tests.coefficients.test_c_header import STRICT

@@ -8,7 +8,7 @@ from typing import get_type_hints
 
 import pytest
 
-from calib.cli.commands import COMMANDS, SUMMARIES, function_of, module_of
+from calib.cli import COMMANDS, SUMMARIES, function_of, module_of
 from calib.cli.main import run
 
 CLI = Path(__file__).resolve().parents[2] / "calib" / "cli"
@@ -22,7 +22,7 @@ def _help(arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> str
 
 def test_every_file_of_a_command_is_registered() -> None:
     files = {f"calib.cli.{path.stem}" for path in CLI.glob("*.py") if "Example: calib" in path.read_text("utf-8")}
-    assert files - {"calib.cli.commands"} == {module_of(name) for name in COMMANDS}
+    assert files - {"calib.cli.__init__"} == {module_of(name) for name in COMMANDS}
 
 
 def test_a_command_is_a_function_whose_options_all_say_what_they_are() -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from types import FunctionType, ModuleType
 
 import calib
-from calib.cli.commands import COMMANDS, function_of, module_of
+from calib.cli import COMMANDS, function_of, module_of
 
 NAMES = sorted(
     found.name

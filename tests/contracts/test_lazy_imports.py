@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from calib.cli.commands import COMMANDS, module_of
+from calib.cli import COMMANDS, module_of
 
 HEAVY = (
     "numpy",

@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-from calib.cli.commands import COMMANDS
+from calib.cli import COMMANDS
 from calib.cli.main import run
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ import pytest
 
 from calib.campaign import settings
 from calib.campaign.model import LABEL_COLUMNS, LOG_COLUMNS, NUMERIC_COLUMNS
-from calib.cli.commands import COMMANDS
+from calib.cli import COMMANDS
 from calib.gap.effects.library import REGISTRY
 
 ROOT = Path(__file__).resolve().parents[2]

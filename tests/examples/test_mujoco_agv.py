@@ -16,7 +16,7 @@ pytest.importorskip("mujoco", reason="MuJoCo is not installed")
 
 from calib.campaign.read import read_campaign
 from calib.cli.main import run
-from calib.gap.simulator.settings import read_settings
+from calib.gap.simulator import read_settings
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "mujoco_agv"
 #: contacts creep and give way, by some 2 % of a turn: so far from where rigid wheels would take it the vehicle ends

@@ -15,12 +15,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.tables import write_campaign
-from calib.fleet.comparison import VehicleResult
+from calib.campaign import write_campaign
+from calib.fleet import VehicleResult
 from calib.fleet.run import survey_fleet
+from calib.plant import Cause
 from calib.plant.design import good_design
 from calib.plant.make import make_campaign
-from calib.plant.world import Cause
 
 #: where the zone begins and how long it is, on the map's x
 BEGIN_M: Final = 11.0

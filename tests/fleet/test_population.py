@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtr
 
-from calib.fleet.comparison import (
+from calib.fleet import (
     Outlier,
     any_false,
     difference_of,

@@ -23,7 +23,7 @@ from calib.plant.make import FleetSize, FleetTruth, make_fleet
 from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit
 from calib.reporting.formatting import to_text
-from calib.reporting.topics.fleet import fleet_content
+from calib.reporting.topics.geometry import fleet_content
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "sample_runs" / "corridor_crossed"

@@ -13,15 +13,15 @@ from markupsafe import escape
 
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError, CalibError
+from calib.fleet import VehicleResult, shared_causes
 from calib.fleet import run as survey_module
-from calib.fleet.comparison import VehicleResult, shared_causes
 from calib.fleet.run import Survey, survey_fleet
 from calib.fleet.store import Member
 from calib.kinematics.estimate import estimate_geometry
 from calib.plant.make import FleetSize, make_posed_fleet
 from calib.reporting.formatting import to_text
 from calib.reporting.pages import write_fleet
-from calib.reporting.topics.fleet import fleet_content
+from calib.reporting.topics.geometry import fleet_content
 
 ROOT = Path(__file__).resolve().parents[2]
 N_VEHICLES = 12

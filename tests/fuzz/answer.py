@@ -12,7 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from unittest import mock
 
-from calib.cli import commands, main
+from calib import cli as commands
+from calib.cli import main
 
 ALLOWED = {0, 1, 2, 130}
 LONGEST_S = 10.0

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import typer
 
-from calib.cli.commands import ALSO, COMMANDS, OUTPUTS, Guarded, function_of
+from calib.cli import ALSO, COMMANDS, OUTPUTS, Guarded, function_of
 from tests.fuzz.answer import Outcome, outcome
 from tests.fuzz.damage import WORDS, damaged, resealed
 from tests.fuzz.quantities import quantity_case

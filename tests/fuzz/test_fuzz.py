@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from calib.cli.commands import COMMANDS
+from calib.cli import COMMANDS
 from calib.coefficients.file import load_coefficients
 from calib.documents import checksum
 from tests.effort import EXPLORES

@@ -1,8 +1,8 @@
 """Recordings of free drives with poses along the path, by a world that shares no code with the package.
 
-``python -m tests.gap.free_drives [--each 2] [--scatter 5e-4] [--seed 72]`` writes campaigns of six recordings
-of 90 s of a differential robot, a tricycle and an Ackermann vehicle, with one effect or none, diagnoses them and prints
-a line each. The wheels' radii scatter from recording to recording.
+``python -m tests.gap.free_drives [--each 2] [--scatter 5e-4] [--seed 72] [--positions]`` writes campaigns of six
+recordings of 90 s of a differential robot, a tricycle and an Ackermann vehicle, with one effect or none, diagnoses them
+and prints a line each. The wheels' radii scatter from recording to recording.
 """
 
 from __future__ import annotations
@@ -136,15 +136,26 @@ def _recording(drive: str, sizes: Mapping[str, float], scatter: float, rng: np.r
     return {"t_s": time, **columns, **poses}
 
 
-def write(folder: Path, drive: str, sizes: Mapping[str, float], scatter: float, rng: np.random.Generator) -> Path:
+def write(
+    folder: Path,
+    drive: str,
+    sizes: Mapping[str, float],
+    scatter: float,
+    rng: np.random.Generator,
+    *,
+    headings: bool = True,
+) -> Path:
     """Write a campaign with effects of known sizes, and return its folder.
 
-    `scatter` is the standard deviation of each radius from recording to recording, relative.
+    `scatter` is the standard deviation of each radius from recording to recording, relative; without `headings` the
+    reference is one of positions alone.
     """
     (folder / "logs").mkdir(parents=True)
     rows = ["run_id,session,kind,log"]
     for number in range(RECORDINGS):
         columns = _recording(drive, sizes, scatter, rng)
+        if not headings:
+            del columns["ref_theta_rad"]
         with (folder / "logs" / f"rec{number}.csv").open("w", newline="", encoding="utf-8") as file:
             table = csv.writer(file)
             table.writerow(columns)
@@ -172,6 +183,7 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=2, help="campaigns of each drive and effect")
     parser.add_argument("--scatter", type=float, default=5e-4)
     parser.add_argument("--seed", type=int, default=72)
+    parser.add_argument("--positions", action="store_true", help="a reference without headings")
     given = parser.parse_args()
     total: Counter[str] = Counter()
     drawn = [(d, e, number) for d in EFFECTS for e in ("", *EFFECTS[d]) for number in range(given.each)]
@@ -181,7 +193,8 @@ def main() -> None:
         low, high = np.log(EFFECTS[drive].get(effect, (1.0, 1.0)))
         size = float(np.exp(rng.uniform(low, high))) * (1.0 if effect in POSITIVE else float(rng.choice([-1.0, 1.0])))
         with tempfile.TemporaryDirectory() as folder:
-            campaign = write(Path(folder) / "free", drive, {effect: size} if effect else {}, given.scatter, rng)
+            sizes, into = {effect: size} if effect else {}, Path(folder) / "free"
+            campaign = write(into, drive, sizes, given.scatter, rng, headings=not given.positions)
             found = calib.diagnose(campaign).to_dict()
         named = [cause["effect"] for cause in found["causes"]]
         right = found["verdict"] == "no_gap" if not effect else named[:1] == [effect]

@@ -12,7 +12,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.coefficients.build import from_geometry
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.library import model_of, with_sensor_of
+from calib.gap.effects.library import model_of, with_mounting_of
 from calib.kinematics.estimate import estimate_geometry
 from tests.kinematics.campaigns import Truth, campaign, mixed
 
@@ -36,7 +36,7 @@ def test_what_a_geometry_found_is_not_named_again(driven: Campaign, tmp_path: Pa
     path.write_bytes(from_geometry(found, driven, accept="a test").to_bytes())
     model, effects = model_of(path, driven)
     assert [effect.effect for effect in effects] == ["reference_latency"]
-    there = with_sensor_of(path, driven)
+    there = with_mounting_of(path, driven)[0]
     assert there.reference.sensor_x_m == found["sensor_x_m"].value
     without = diagnose_in_full(driven, plan=False)
     assert {"reference_lever_arm", "reference_latency"} & {cause.effect for cause in without.causes}
@@ -54,5 +54,5 @@ def test_a_file_without_a_geometry_leaves_the_sensor_as_stated(
     crossed = project_root / "sample_runs" / "corridor_crossed"
     path = tmp_path / "law.json"
     path.write_bytes(coefficients_of(crossed).file.to_bytes())
-    assert with_sensor_of(path, driven).reference == driven.reference
+    assert with_mounting_of(path, driven)[0].reference == driven.reference
     assert model_of(path, read_campaign(crossed))[1] == ()

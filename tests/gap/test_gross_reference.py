@@ -108,12 +108,24 @@ def test_axes_are_found_beside_a_model_that_has_effects(project_root: Path) -> N
     assert [cause.effect for cause in causes] == ["reference_yaw"]
 
 
-def test_a_mirrored_reference_may_be_swapped_wheels_and_is_said_to_be(project_root: Path) -> None:
-    """The two are the same to any data of two wheels: the advice names both."""
+def exchanged_wheels(columns: Columns) -> Columns:
+    return {f"counts_{side}": columns[f"counts_{other}"] for side, other in (("left", "right"), ("right", "left"))}
+
+
+def test_a_mirrored_reference_is_told_from_swapped_wheels_by_radii_and_loads_that_differ(project_root: Path) -> None:
+    """Of a vehicle that is the same on both sides the two are one to any data: the advice names both."""
     both = struck(project_root, lambda columns: {**mirrored(columns), **clockwise(columns)}, every=8)
-    cause = diagnose_in_full(both, plan=False).causes[0]
-    assert (cause.effect, cause.form) == ("encoder_gross", "swapped wheels")
-    assert "y to the left" in cause.remark
+    (axes,) = diagnose_in_full(both, plan=False).causes
+    assert (axes.effect, axes.form) == ("reference_yaw", "y and headings are mirrored")
+    assert "signs of ref_y_m and ref_theta_rad" in axes.remark
+    swapped = struck(project_root, exchanged_wheels, every=8)
+    swapped = replace(
+        swapped,
+        logs=replace(swapped.logs, columns={**swapped.logs.columns, **exchanged_wheels(dict(swapped.logs.columns))}),
+    )
+    (wheels,) = diagnose_in_full(swapped, plan=False).causes
+    assert (wheels.effect, wheels.form) == ("encoder_gross", "swapped wheels")
+    assert "y to the left" in wheels.remark
 
 
 def test_missing_loads_are_not_to_be_corrected_before_what_takes_runs_so_far_off(project_root: Path) -> None:

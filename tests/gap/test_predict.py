@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.gap.observations.arrays import POSE, Channel
+from calib.gap import Perturbation, total_perturbation
+from calib.gap.observations import POSE, Channel
 from calib.gap.predict import predict, residuals, signature
-from calib.gap.steps import Perturbation, total_perturbation
 from tests.gap.effects.making import SQUARE, TRACK_M, Motion, Run, end_pose, rich_runs, situation, steps_of
 
 LINE = [(12.0, 0.0)]

@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import calib.gap.observations as data
+from calib.gap import Perturbation
 from calib.gap.effects.library import library
 from calib.gap.inference.fit import hypothesis_path, signature_columns
 from calib.gap.inference.noise_components import kernels
-from calib.gap.observations import arrays as data
+from calib.gap.observations import Observations
 from calib.gap.observations import observation as held_steps
-from calib.gap.observations.arrays import Observations
 from calib.gap.predict import Path, predict
-from calib.gap.steps import Perturbation
 from tests.gap.effects.making import rich_runs, situation
 
 #: running sums over all observations and over some round differently

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign
-from calib.campaign.tables import write_campaign
 from calib.cli.main import run as calib
 from calib.gap.diagnose import diagnose_in_full
 from calib.kinematics.drives import GYRO_SCALE_STD

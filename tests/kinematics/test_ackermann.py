@@ -13,13 +13,13 @@ import yaml
 
 from calib.campaign.read import read_campaign
 from calib.cli.main import run as calib
+from calib.kinematics import recording_of
 from calib.kinematics.adequacy import GeometryVerdict
 from calib.kinematics.blunders import front_faults, straight_reading_rad
 from calib.kinematics.drives import RearShaft, Steps, rear_shaft
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters, steering_zero_spread_rad
 from calib.kinematics.model import window_segments
-from calib.kinematics.recording import recording_of
 from tests.kinematics.ackermann import RADIUS_M, TRACK_M, WHEELBASE_M, Truth, campaign, spoilt
 
 

@@ -17,16 +17,17 @@ from calib.campaign.read import read_campaign
 from calib.coefficients.build import from_geometry
 from calib.errors import ImplausibleError, RefusedError
 from calib.gap.plan.planned_runs import joined
+from calib.kinematics import recording_of
 from calib.kinematics.adequacy import GeometryVerdict, Residuals, judge
 from calib.kinematics.blunder_search import find_blunder
-from calib.kinematics.estimate import Using, estimate_geometry
+from calib.kinematics.estimate import Using, _told_by, estimate_geometry
 from calib.kinematics.model import window_segments
-from calib.kinematics.recording import recording_of
 from calib.reporting.topics.geometry import verdict_sentences
 from tests.blunders import plant
 from tests.blunders.blunders import DIFFERENTIAL
 from tests.kinematics import steered
 from tests.kinematics.campaigns import Truth, campaign, mixed, square
+from tests.kinematics.test_named_blunders import in_map
 
 TRUTH = {
     "radius_left_m": plant.RADIUS_LEFT_M,
@@ -285,6 +286,24 @@ def test_the_number_of_outliers_is_that_of_the_list(monkeypatch: pytest.MonkeyPa
     for n_large, beside in ((10, ""), (9, ", 9 by more than 0.5 % of way or rotation")):
         said = [*adequacy._further(fitted, model, names[:10], np.arange(24) < n_large, left, left)]
         assert said == [f"10 of 24 runs are outliers{beside}: look at their references, times and counts"]
+
+
+def test_the_noise_of_whole_runs_is_that_of_their_windows_where_none_was_driven_twice() -> None:
+    """Of sound recordings of unlike routes the ends leave their noise, which is less than the usual drift of wheels."""
+    judgement = estimate_geometry(in_map(8)).judgement
+    for of in (judgement.position, judgement.heading):
+        # both are known to a third of themselves by so few ends
+        assert of.noise / 2.0 < of.after < 2.0 * of.noise < of.usual_noise
+
+
+def test_what_windows_show_is_told_beside_end_poses_that_are_taken() -> None:
+    """A clock or a sensor that was moved hardly shows at ends: the result is theirs, the remark that of the windows."""
+    ends = estimate_geometry(campaign(mixed(1), Truth(), np.random.default_rng(5), samples=50), using="end_poses")
+    windows: Any = SimpleNamespace(verdict=GeometryVerdict.WRONG, why=("t_s: the clock runs fast.", "more"))
+    told = _told_by(windows, ends)
+    assert told.notes[len(ends.notes) :] == (
+        "By windows of the recordings the result is wrong: t_s: the clock runs fast.",
+    )
 
 
 def test_a_reference_computed_from_the_counts_is_none_however_it_was_rounded(tmp_path: Path) -> None:

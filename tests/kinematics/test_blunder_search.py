@@ -8,12 +8,11 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from calib.kinematics import blunder_search
+from calib.kinematics import Recording, blunder_search, recording_of
 from calib.kinematics.assemble import divisions
 from calib.kinematics.blunders import Fault
 from calib.kinematics.estimate import Using
 from calib.kinematics.readings import Reading, readings
-from calib.kinematics.recording import Recording, recording_of
 from tests.kinematics.campaigns import Truth, campaign, mixed
 
 #: of 70 readings: the recording as it stands, the right one and the same with a column of zeros, and some that are near

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Logs
+from calib.kinematics import recording_of
 from calib.kinematics.drives import parameters_of
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import at_best_delay, delay_losses, drive_of, fit_parameters
 from calib.kinematics.model import Model, window_segments
-from calib.kinematics.recording import recording_of
 from tests.kinematics.campaigns import Truth
 from tests.kinematics.test_named_blunders import in_map
 

@@ -11,12 +11,12 @@ import pytest
 from calib.campaign.model import Campaign, Logs
 from calib.campaign.read import read_campaign
 from calib.gap.plan.planned_runs import joined
+from calib.kinematics import recording_of
 from calib.kinematics.adequacy import GeometryVerdict
 from calib.kinematics.departures import find_departure
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters
 from calib.kinematics.model import window_segments
-from calib.kinematics.recording import recording_of
 from calib.kinematics.result import Geometry
 from tests.blunders import plant
 from tests.blunders.blunders import TRICYCLE, Change, columns_times

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.kinematics import Recording
 from calib.kinematics.drives import Differential, Drive, FrontWheel, Mecanum, RearShaft, Steps, integrate_motion
 from calib.kinematics.model import Model, Segments, window_segments
-from calib.kinematics.recording import Recording
 
 #: relative step of the finite differences, and how well they can agree with the derivative
 STEP, AGREE = 1e-6, 2e-6

@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.campaign.tables import write_campaign
 from calib.errors import RefusedError
 from calib.gap.plan.planned_runs import joined
+from calib.kinematics import recording_of
 from calib.kinematics.drives import NOMINAL_STD, nominal_turn
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import drive_of
-from calib.kinematics.recording import recording_of
 from calib.reporting.topics.geometry import geometry_sentences
 from tests.kinematics.campaigns import Truth, both_ways, campaign, mixed, tricycle
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from calib.errors import RefusedError
+from calib.kinematics import Recording, recording_of
 from calib.kinematics.blunders import WHEELS, refuse_heading_unit, wheels_faults
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import end_pose_segments
 from calib.kinematics.readings import factor_faults
-from calib.kinematics.recording import Recording, recording_of
 from tests.kinematics.campaigns import mecanum
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from calib.campaign.model import Border, Campaign
 from calib.campaign.wheels import with_counts
+from calib.kinematics import recording_of
 from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import rear_faults, still_counters
 from calib.kinematics.departures import find_departure
@@ -19,7 +20,6 @@ from calib.kinematics.estimate import Using, estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters
 from calib.kinematics.model import window_segments
 from calib.kinematics.readings import PLAUSIBLE_TRACK_CHANGE, factor_faults, implausible
-from calib.kinematics.recording import recording_of
 from calib.kinematics.result import Geometry
 from tests.kinematics.campaigns import Truth, both_ways, campaign, mixed
 from tests.kinematics.test_departures import ROUTE
@@ -61,6 +61,12 @@ def named(found: Geometry) -> dict[str, str]:
 def right(found: Geometry, *names: str) -> bool:
     """Return whether the true values are within two 95 % intervals: beyond four standard uncertainties."""
     return all(abs(found[name].value - getattr(TRUTH, name)) < 2.0 * found[name].half_width for name in names)
+
+
+def test_the_z_of_a_quaternion_is_told_in_a_map_whose_runs_begin_at_any_heading() -> None:
+    """Of z two headings are left at each start, and nothing tells between them but what the wheels turn from there."""
+    found = estimate_geometry(in_map(6, lambda log: log | {"ref_theta_rad": np.sin(0.5 * log["ref_theta_rad"])}))
+    assert [*named(found)] == ["heading_quaternion"] and right(found, "track_m", "radius_left_m", "radius_right_m")
 
 
 @pytest.mark.parametrize("wider", [1.6, 1.9])

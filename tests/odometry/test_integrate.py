@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.errors import BadInputError
-from calib.odometry.integrate import SCHEMES, end_poses, integrate
+from calib.odometry import SCHEMES, end_poses, integrate
 from calib.odometry.poses import Poses
 from calib.types import FloatArray
 from tests.odometry.frames import moved
@@ -62,7 +62,7 @@ def test_runs_laid_end_to_end_are_each_integrated_on_their_own(
     block: int, scheme: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """For any block borders cut, empty runs at the beginning, in the middle and at the end included."""
-    monkeypatch.setattr("calib.odometry.integrate.BLOCK", block)
+    monkeypatch.setattr("calib.odometry.BLOCK", block)
     lengths = [0, 3, 1, 0, 0, 40, 7, 130, 2, 0]
     offsets = np.concatenate(([0], np.cumsum(lengths)))
     left, right = steps(offsets[-1])
@@ -77,7 +77,7 @@ def test_runs_laid_end_to_end_are_each_integrated_on_their_own(
 
 
 def test_a_stack_of_runs_is_the_runs_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("calib.odometry.integrate.BLOCK", 100)
+    monkeypatch.setattr("calib.odometry.BLOCK", 100)
     left, right = (part.reshape(8, 50) for part in steps(400))
     whole = integrate(left, right, TRACK_M)
     assert whole.shape == (8, 50)
@@ -97,7 +97,7 @@ def test_blocks_give_the_poses_of_the_whole(lengths: list[int], scheme: str, mon
         arguments = {"offsets": offsets, "start": starts, "scheme": scheme}
         whole = integrate(left, right, track, **arguments)  # type: ignore[arg-type]
         with monkeypatch.context() as small:
-            small.setattr("calib.odometry.integrate.BLOCK", 16)
+            small.setattr("calib.odometry.BLOCK", 16)
             close(whole, integrate(left, right, track, **arguments))  # type: ignore[arg-type]
 
 
@@ -115,7 +115,7 @@ def test_the_track_may_change_from_sample_to_sample() -> None:
 @pytest.mark.parametrize("block", [7, 64])
 def test_a_reading_that_is_not_a_number_spoils_nothing_before_it(block: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """And nothing of the runs in other blocks."""
-    monkeypatch.setattr("calib.odometry.integrate.BLOCK", block)
+    monkeypatch.setattr("calib.odometry.BLOCK", block)
     left, right = steps(256)
     left[100] = np.nan
     broken, whole = integrate(left, right, TRACK_M), integrate(*steps(256), TRACK_M)

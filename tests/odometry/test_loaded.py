@@ -7,7 +7,7 @@ import pytest
 
 from calib.campaign.settings import Encoder
 from calib.errors import BadInputError
-from calib.odometry.integrate import end_poses
+from calib.odometry import end_poses
 from calib.odometry.routes import loads_in_steps, radii_under_load, travel_from_counts
 from calib.radius.law import RadiusLaw, WheelLaw
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.odometry.integrate import integrate, is_installed
+from calib.odometry import integrate, is_installed
 from calib.odometry.poses import Poses
 from calib.types import FloatArray
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from calib.odometry.integrate import end_poses
+from calib.odometry import end_poses
 from calib.odometry.poses import Poses, pose_errors
 from calib.odometry.routes import Axle, end_of_route, find_route, follow
 

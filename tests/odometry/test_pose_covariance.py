@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.odometry.integrate import end_poses, integrate
+from calib.odometry import end_poses, integrate
 from calib.odometry.poses import PathSteps, RandomWalk, ellipses, jacobian, steps
 from calib.radius.law import JOINT
 from calib.types import FloatArray

@@ -10,10 +10,10 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.campaign.settings import Reference
-from calib.campaign.tables import write_campaign
 from calib.coefficients.build import Header, coefficients_of, from_law
 from calib.coefficients.file import CoefficientFile, GeometrySection, believed_model
 from calib.coefficients.sections import Quantity
@@ -22,7 +22,7 @@ from calib.gap.effects.library import model_of
 from calib.gap.effects.load import LoadRadius
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
-from calib.odometry.integrate import end_poses
+from calib.odometry import end_poses
 from calib.odometry.poses import Poses
 from calib.odometry.replay import replay
 from calib.odometry.routes import loads_in_steps, travel_from_counts

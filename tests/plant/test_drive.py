@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from calib.campaign.settings import OdometryModel
+from calib.plant import Cause, Noise, build_world, draw_noise, quiet, wheel_loads
 from calib.plant.design import Design, good_design
 from calib.plant.drive import drive, reference_poses, simulated_poses
 from calib.plant.make import apply_causes, make_campaign
-from calib.plant.world import Cause, Noise, build_world, draw_noise, quiet, wheel_loads
 from calib.vehicle import Vehicle
 
 MODEL = OdometryModel(radius_left_m=0.1, radius_right_m=0.1, track_m=0.7, reference_load_N=300.0)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.plant import Cause, Noise, build_world, draw_noise, quiet
 from calib.plant.design import good_design
 from calib.plant.drive import drive
 from calib.plant.effects import ALL, find
@@ -22,7 +23,6 @@ from calib.plant.signal import (
     strengths,
     to_signal,
 )
-from calib.plant.world import Cause, Noise, build_world, draw_noise, quiet
 
 NORMAL = Noise(tail=np.inf, stated_ratio=1.0)
 

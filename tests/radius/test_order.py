@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib.radius import groups_of, stratified_line, widened
 from calib.radius.checks import with_checks
 from calib.radius.regression import FAILED, WheelFit, fit_wheel
-from calib.radius.sessions import groups_of, stratified_line, widened
 from calib.types import FloatArray
 
 RADIUS_M, SLOPE_M_PER_N, REFERENCE_N, SCATTER_M = 0.1, 1.3e-6, 300.0, 1.6e-5

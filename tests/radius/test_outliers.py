@@ -7,9 +7,9 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from calib.radius import moved_by, standing_out
 from calib.radius.checks import with_checks
 from calib.radius.regression import FAILED, OK, fit_wheel
-from calib.radius.sessions import moved_by, standing_out
 
 #: 54 values of Rosner (1983), as the NIST/SEMATECH e-Handbook prints them (1.3.5.17.3)
 ROSNER = np.array([

@@ -8,8 +8,8 @@ from scipy import stats
 from statsmodels.regression.linear_model import OLS
 
 from calib.errors import RefusedError
+from calib.radius import breusch_pagan
 from calib.radius.regression import distinct_loads, fit_wheel, independent_line, least_squares, t_quantile
-from calib.radius.sessions import breusch_pagan
 
 LOADS = np.array([300.0, 500.0, 700.0, 900.0, 1100.0])
 

@@ -7,8 +7,8 @@ import pytest
 from scipy.special import stdtrit
 
 from calib.fleet.vehicle import WheelSums, line_from_sums
+from calib.radius import groups_of, stratified_line
 from calib.radius.regression import fit_wheel, independent_line, least_squares
-from calib.radius.sessions import groups_of, stratified_line
 
 #: sums of squares about a far origin lose about six of sixteen digits against sums about the mean
 SUMS_TOLERANCE = 1e-8

@@ -10,8 +10,8 @@ import numpy as np
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.localise.locate import ChannelGap, CovariateResult, GapLocation, RunDeviation
-from calib.gap.observations.arrays import Channel
-from calib.gap.plan.identifiability import DetectionLimit
+from calib.gap.observations import Channel
+from calib.gap.plan import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.reporting.figures.gap import GapArrays
 from calib.reporting.source import Source

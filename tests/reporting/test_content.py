@@ -15,7 +15,7 @@ from calib.campaign.read import read_campaign
 from calib.errors import BadFileError, CalibError
 from calib.radius.fit import fit_campaign
 from calib.radius.result import Fit, write_result
-from calib.reporting.blocks import Facts, Items, Notice, Section, Table, Text, catalogue
+from calib.reporting import Facts, Items, Notice, Section, Table, Text, catalogue
 from calib.reporting.content import PAGES, Report, compose
 from calib.reporting.source import OPTIONAL, STATED, Source, issue_date, opened, source_of
 from calib.reporting.topics.fit import residuals_picture, result_section, usable_notice
@@ -232,7 +232,7 @@ def test_texts_never_speak_as_terminals_do(report: Report) -> None:
 
 def test_rows_and_columns_agree() -> None:
     with pytest.raises(ValueError, match="2 cells in a row of 1 columns"):
-        from calib.reporting.blocks import Column
+        from calib.reporting import Column
 
         Table("t", (Column("a"),), (("1", "2"),))
 

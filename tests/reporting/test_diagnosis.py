@@ -11,9 +11,9 @@ import pytest
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.held_out import Closure
 from calib.gap.localise.locate import ChannelGap, GapLocation
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 from calib.gap.plan.planned_runs import PlannedRun
-from calib.reporting.blocks import Notice, Picture, Section, Table
+from calib.reporting import Notice, Picture, Section, Table
 from calib.reporting.content import compose
 from calib.reporting.formatting import to_text
 from calib.reporting.pages import blocks_html, to_pdf

@@ -16,12 +16,12 @@ from calib.api import simulate
 from calib.kinematics.result import RunTrace
 from calib.radius.effective import EffectiveRadii
 from calib.radius.fit import fit_law
-from calib.reporting.blocks import Picture
+from calib.reporting import Picture
 from calib.reporting.content import Report, compose
 from calib.reporting.figures import gap as gap_figures
+from calib.reporting.figures import named_groups, render, render_all
 from calib.reporting.figures.calibration import draw_paths, path_deviation, regressions, residuals, runs_by_series
-from calib.reporting.figures.motion import replay_figure, sweep_errors_figure, sweep_figure
-from calib.reporting.figures.style import named_groups, render, render_all
+from calib.reporting.figures.studies import replay_figure, sweep_errors_figure, sweep_figure
 from calib.reporting.source import Source
 from tests.reporting.making import CHANNELS, findings, with_findings
 

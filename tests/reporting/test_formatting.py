@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.reporting.blocks import table
+from calib.reporting import table
 from calib.reporting.formatting import (
     MISSING,
     aligned,

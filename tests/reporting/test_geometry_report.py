@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from calib.api import report
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign
-from calib.campaign.tables import write_campaign
 from calib.cli.main import run as calib
 from calib.kinematics.assemble import traces_of
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry, RunTrace
-from calib.reporting.blocks import Facts, Notice, Picture
+from calib.reporting import Facts, Notice, Picture
 from calib.reporting.content import Report, report_without_law
 from calib.reporting.topics.geometry import parameter_table
 from tests.kinematics.campaigns import Leg, Truth, campaign, square

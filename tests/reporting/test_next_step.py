@@ -13,7 +13,7 @@ from calib.cli.fit import _next_step
 from calib.cli.main import run
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.plan.planned_runs import PlannedRun
-from calib.reporting.blocks import next_step
+from calib.reporting import next_step
 from calib.reporting.topics.diagnosis import after_diagnosis
 from calib.reporting.topics.geometry import after_geometry
 

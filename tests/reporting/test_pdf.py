@@ -14,10 +14,9 @@ import typst
 
 from calib.coefficients.file import load_coefficients
 from calib.documents import to_json
-from calib.reporting import pages
-from calib.reporting.blocks import Column, Facts, Items, Notice, Section, Table, Text
+from calib.reporting import Column, Facts, Items, Notice, Section, Table, Text, pages
 from calib.reporting.content import Report, compose
-from calib.reporting.figures.style import FORMS, write_figures
+from calib.reporting.figures import FORMS, write_figures
 from calib.reporting.pages import to_pdf
 from calib.reporting.source import STATED, Source
 

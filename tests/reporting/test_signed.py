@@ -13,7 +13,7 @@ from calib.campaign.model import Campaign
 from calib.documents import plain
 from calib.errors import CalibError
 from calib.gap.decision.diagnosis import VerdictKind
-from calib.reporting.blocks import Notice, Picture, Table
+from calib.reporting import Notice, Picture, Table
 from calib.reporting.content import Report, compose
 from calib.reporting.pages import to_pdf
 from calib.reporting.source import Source, logo_of, opened, source_of

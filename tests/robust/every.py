@@ -24,7 +24,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from calib.cli.commands import COMMANDS
+from calib.cli import COMMANDS
 from calib.cli.main import run
 from calib.documents import spreadsheet_cell
 from tests.fuzz.inputs import options

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from calib.cli.commands import COMMANDS, function_of
+from calib.cli import COMMANDS, function_of
 from tests.fuzz.sound import small_campaign
 from tests.robust.killing import (
     KILLED,

@@ -26,7 +26,7 @@ LONGEST_S = 300.0
 COMPUTED = (
     ("calib.gap.diagnose", "diagnose_in_full"),
     ("calib.kinematics.estimate", "estimate_geometry"),
-    ("calib.reporting.figures.style", "render"),
+    ("calib.reporting.figures", "render"),
     ("calib.reporting.pages", "to_pdf"),
     ("calib.reporting.pages", "to_html"),
 )

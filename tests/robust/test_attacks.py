@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.cli.commands import COMMANDS
+from calib.cli import COMMANDS
 from tests.robust.attack import Attack, fault_of, made
 from tests.robust.attacks import PARTS, chosen
 

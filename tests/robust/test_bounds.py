@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from calib import campaign as tables
 from calib import errors
-from calib.campaign import tables
 from calib.campaign.readers import read_table
 from calib.campaign.readers.workbook import check_size
 from calib.cli.main import run

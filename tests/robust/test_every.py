@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.cli.commands import COMMANDS
+from calib.cli import COMMANDS
 from calib.cli.main import run
 from tests.robust import every
 

@@ -19,7 +19,7 @@ from tests.robust.killing import ROOT
 STAND_INS = {
     "calib.reporting.pages.to_pdf": b"%PDF-1.7",
     "calib.reporting.pages.to_html": "<html></html>",
-    "calib.reporting.figures.style.render": b"<svg/>",
+    "calib.reporting.figures.render": b"<svg/>",
 }
 
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import calib.gap.plan as identifiability
 from calib import errors
 from calib.cli.main import overflow_noted, run
 from calib.gap.observations.from_campaign import edges_along
-from calib.gap.plan import identifiability
-from calib.gap.plan.identifiability import outlook_of
+from calib.gap.plan import outlook_of
 from calib.gap.plan.next_runs import read_plan
 from calib.gap.plan.planned_runs import stop_and_go
 from tests.fuzz.sound import ROOT, SEEDS, small_campaign

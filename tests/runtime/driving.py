@@ -11,7 +11,7 @@ from calib.coefficients.build import Header, from_law
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.sections import EffectSection
 from calib.gap.effects.library import every_effect, section_of
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.radius.law import RadiusLaw, WheelLaw
 from calib.runtime import Run

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.coefficients.file import CoefficientFile
-from calib.odometry.integrate import integrate
+from calib.odometry import integrate
 from calib.radius.law import JOINT
 from calib.runtime import Coefficients, Odometer
 

@@ -10,9 +10,9 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.coefficients.sections import EffectSection
+from calib.gap import Steps, total_perturbation
 from calib.gap.effects.library import applied_perturbations, every_effect, section_of
-from calib.gap.observations.arrays import Observations
-from calib.gap.steps import Steps, total_perturbation
+from calib.gap.observations import Observations
 from calib.runtime import CoefficientError, Effects, Run
 from calib.runtime.effects import _ACTS
 from tests.runtime.driving import coefficient_file, driven_runs, run_of, sections_of

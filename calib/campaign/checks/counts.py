@@ -322,8 +322,10 @@ _STRAIGHT_RAD: Final = 0.3
 _AREA, _LINE = 0.2, 0.02
 #: scatter of positions over what the wheels rolled: half of it where an axis is missing, hundredths where none is
 _UNEVEN: Final = 0.2
-#: positions over what the wheels rolled
-_MOST_RATIO: Final = 3.0
+#: positions over what the wheels rolled; far less than any factor of counts makes of it
+_MOST_RATIO, _LEAST_RATIO = 3.0, 0.02
+#: of degrees on the globe, over a metre: 9e-6 by latitude
+_OF_A_DEGREE: Final = 1e-4
 
 
 def implausible_paths(campaign: Campaign) -> Iterator[Note]:
@@ -361,8 +363,9 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
     stated = all(design.stated(campaign, key) for key in ("vehicle.wheel_radius_m", "encoder.counts_per_rev"))
     known = ratios[np.isfinite(ratios)]
     ratio = float(np.median(known)) if stated and len(known) >= design.LEAST_RUNS else 1.0
-    if ratio > _MOST_RATIO:
+    if ratio > _MOST_RATIO or 0.0 < ratio < _LEAST_RATIO:
         unit = design.meaning(ratio, POSITION_UNITS)
+        unit = "degrees of latitude and longitude" if ratio < _OF_A_DEGREE else unit
         hint = f"are they in {unit}?" if unit else "check their unit, wheel_radius_m and counts_per_rev"
         text = f"positions along the path move {ratio:.3g} times as far as the wheels; expected as far; {hint}"
         yield design.implausible_column("ref_x_m, ref_y_m", text, of="logs")

@@ -109,8 +109,7 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
                     {factor_reason(factor)}"""
                 yield implausible_column(f"counts_{side}", text)
             far = np.log(np.abs(distance), where=good, out=distance * np.nan)
-            load = campaign.runs.number(f"load_{side}_N")[good]
-            yield from _scatter(np.log(ratio[good]), far, good, side, load)
+            yield from _scatter(np.log(ratio[good]), far, good, side, campaign.runs.number(f"load_{side}_N")[good])
         both = np.isfinite(counts[side] + counts[other]) & (distance > 1)
         if both.sum() >= LEAST_RUNS and (counts[side][both] < 0).all() and (counts[other][both] > 0).all():
             text = f"the {side} wheel counts backwards in every straight run, the {other} one forwards"

@@ -138,6 +138,8 @@ _STEERED_SENSES: Final[Senses] = (
 )
 #: no angle is steered beyond, in rad, nor is one that wraps; single samples may be a sensor's faults
 _MOST_STEERED_RAD, _SINGLE_SAMPLES = 2.0 * np.pi, 0.01
+#: no car's wheel is steered by more
+_MOST_CAR_RAD: Final = 1.0
 #: headings and counts are this far apart, and this share of it where it is made good
 _APART_RAD, _MADE_GOOD = 1.0, 0.1
 #: of one run, no more than noise, radii and track make: else its log is another's
@@ -151,6 +153,10 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     if (beyond := angle_rad > _MOST_STEERED_RAD).sum() > _SINGLE_SAMPLES * len(beyond):
         text = f"""found {np.nanmax(angle_rad):.3g} rad, and {beyond.sum()} samples beyond a whole turn; expected less;
             are they in degrees (name the column steer_deg), or of the steering wheel?"""
+        yield column_note("steer_rad", text, "implausible", "wrong", "logs")
+        return
+    if campaign.vehicle.drive == "ackermann" and len(angle_rad) and (half := np.nanmedian(angle_rad)) > _MOST_CAR_RAD:
+        text = f"found {half:.3g} rad and more in half of all samples; expected less of a car; is it 0 straight ahead?"
         yield column_note("steer_rad", text, "implausible", "wrong", "logs")
         return
     campaign = design.on_axle(campaign)
@@ -193,8 +199,10 @@ def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArra
     turned = design.reference_turns(campaign)[0]
     left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
     apart = [
-        # a wheel that counts forward, beside one that does not, is not the one to negate
-        np.where((left * right < 0) & (by_left * left < 0) & (by_right * right < 0), np.inf,
+        # a wheel that counts forward, beside one that does not, is not the one to negate; headings in another unit
+        # agree with what the wheels turned, and wheels that hardly turned agree with any
+        np.where((left * right < 0) & (by_left * left < 0) & (by_right * right < 0)
+                 | (abs(by) < 1.0) & (np.abs(by * turned - right + left) > _MADE_GOOD * np.abs(right - left)), np.inf,
                  by * turned - by_right * right + by_left * left)
         for by_left, by_right, by, _ in senses
     ]  # fmt: skip

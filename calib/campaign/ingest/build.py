@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.ingest.contents import listed_files
+from calib.campaign import csv_bytes, write_campaign
+from calib.campaign.ingest import listed_files
 from calib.campaign.ingest.logs import MappedLog
 from calib.campaign.ingest.mapping import SHEET, bad_line, read_mapping
 from calib.campaign.ingest.runs import files_of_runs, files_of_sheets, mapped_runs, match_logs, names_runs, with_lookups
@@ -20,7 +21,6 @@ from calib.campaign.readers.table import object_array
 from calib.campaign.readers.workbook import sheet_names
 from calib.campaign.settings import WHEEL_LOADS, Encoder, OdometryModel
 from calib.campaign.settings_file import parse_settings
-from calib.campaign.tables import csv_bytes, write_campaign
 from calib.documents import plain, to_json
 from calib.errors import BadInputError
 from calib.io import refuse_existing, sha256_file

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from calib.campaign.ingest import contents
-from calib.campaign.ingest.contents import ColumnContents, FileContents, described, file_contents, listed_files, wrapped
+from calib.campaign import ingest
+from calib.campaign.ingest import ColumnContents, FileContents, described, file_contents, listed_files, wrapped
 from calib.campaign.ingest.guesses import guessed_log_column, guessed_table_column, shipped
 from calib.campaign.ingest.mapping import MappedColumn
 from calib.campaign.ingest.proposal_log import SKID_STEER, log_lines
@@ -105,7 +105,7 @@ def describe(sources: Sequence[Path]) -> Description:
     table = _run_table(files)
     logs = [file for file in files if file is not table]
     alike = table is not None and not has_clock(table) and all(file.alike(table) for file in files)
-    whole = replace(table, columns=contents.together(files)) if table is not None and alike else table
+    whole = replace(table, columns=ingest.together(files)) if table is not None and alike else table
     beside = [file for file in logs if table is not None and not alike and _may_be_joined(file, table)]
     if whole is not None:
         whole = replace(whole, others={**whole.others, **{Path(file.name).stem: file.columns for file in beside}})
@@ -125,7 +125,7 @@ def _sheets_of_runs(table: FileContents) -> list[FileContents]:
 
 def _may_be_joined(file: FileContents, table: FileContents) -> bool:
     of_runs = run_column(table) is not None and run_column(file) is not None and file.n_rows >= table.n_rows
-    return of_runs and not has_clock(file) and not table.name.endswith(contents.WORKBOOK)
+    return of_runs and not has_clock(file) and not table.name.endswith(ingest.WORKBOOK)
 
 
 def _run_table(files: Sequence[FileContents]) -> FileContents | None:

@@ -341,6 +341,10 @@ def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
     return out
 
 
+#: clocks of other time zones are whole half hours apart, but for what starts a little later
+ZONE_S, ZONE_WITHIN_S = 1800.0, 60.0
+
+
 def _note_clocks(recording: Recording, base: Stream, shown: str, border: Border) -> None:
     own = base.contents()
     for stream in recording.streams:
@@ -355,7 +359,10 @@ def _note_clocks(recording: Recording, base: Stream, shown: str, border: Border)
                 apart = clock.behind_arrival_s - own.behind_arrival_s
                 text += f", stamps {apart:+.4g} s older at arrival than theirs"
             if later_s + clock.span_s < 0 or later_s > own.span_s:
-                text += f"""; the spans do not meet: the clocks differ, and nothing of it is used; where both began
-                    together, lag_s = {later_s:.6g} in each of its lines of the mapping joins them"""
+                zone_s = ZONE_S * round(later_s / ZONE_S)
+                lag_s = zone_s if zone_s and abs(later_s - zone_s) < ZONE_WITHIN_S else later_s
+                why = "another time zone" if lag_s == zone_s else "where both began together"
+                text += f"""; the spans do not meet: the clocks differ, and without lag_s nothing of it is used; {why}:
+                    lag_s = {lag_s:.6g} in each of its lines of the mapping joins them"""
                 level = "suspicious"
         border.say(f"{shown}, {stream.name}", text, "clock", level=level)

@@ -313,8 +313,7 @@ def read_mapping(path: Path | None) -> LabMapping:
     cut = parse_section(Segmentation, document.pop("cut"), shown, "cut") if "cut" in document else None
     for tag, pattern in log.files.items() if cut is None else ():
         if not re.search(OF_A_RUN, pattern):
-            expected = f"{_LOG_FILES}; or [cut], for many runs"
-            raise bad_line(shown, "log", f"files.{tag}", pattern, expected)
+            raise bad_line(shown, "log", f"files.{tag}", pattern, f"{_LOG_FILES}; or [cut], for many runs")
     table_file = inside(path.parent, table.file, named_in=shown, column="table.file") if path and table.file else None
     return LabMapping(shown, table, log, cut, document, table_file)
 

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-from calib.campaign.ingest import guesses
-from calib.campaign.ingest.contents import ColumnContents, FileContents
+from calib.campaign.ingest import ColumnContents, FileContents, guesses
 from calib.campaign.ingest.guesses import BEHAVIOURS, count_unit, guessed_log_column, side_of, stem_and_unit
 from calib.campaign.ingest.mapping import MappedColumn
 from calib.campaign.ingest.proposal_table import entry, files_of_a_run, unit_remark

@@ -6,8 +6,7 @@ from os.path import commonprefix
 from pathlib import Path
 from typing import Final
 
-from calib.campaign.ingest import guesses
-from calib.campaign.ingest.contents import ColumnContents, FileContents, moment_of, names_moment, run_in, run_number
+from calib.campaign.ingest import ColumnContents, FileContents, guesses, moment_of, names_moment, run_in, run_number
 from calib.campaign.ingest.guesses import direction_of, guessed_table_column, plain_text, stem_and_unit
 from calib.campaign.ingest.mapping import SHEET, TABLE_COLUMNS, units_for
 from calib.campaign.model import LABEL_COLUMNS

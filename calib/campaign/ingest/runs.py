@@ -9,15 +9,14 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from calib.campaign.ingest import contents
-from calib.campaign.ingest.contents import moment_of
+from calib.campaign import ingest, run_table
+from calib.campaign.ingest import moment_of
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, LabMapping, LogSection, MappedColumn, bad_line, counts_per_unit
 from calib.campaign.model import Border, Campaign, RunTable
 from calib.campaign.readers import Layout, RawTable, read_table
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import comma_evidence, is_filled, numbers, object_array
 from calib.campaign.settings import bracketed, converted, recognise
-from calib.campaign.tables import run_table
 from calib.errors import BadFileError
 from calib.io import sha256_file
 
@@ -72,15 +71,14 @@ def with_lookups(
     session = lines["session"].column if "session" in lines else "session"
     if session in columns:
         _note_empty_sessions(columns[session], raw, str(path), border)
-    table = mapping.table.model_copy(update={"columns": lines})
-    return replace(raw, columns=columns), replace(mapping, table=table)
+    return replace(raw, columns=columns), replace(mapping, table=mapping.table.model_copy(update={"columns": lines}))
 
 
 def files_of_sheets(mapping: LabMapping, path: Path, files: Sequence[Path], hashes: dict[str, str]) -> dict[str, Path]:
     """Return the files that a mapping's sheets name where the run table at `path` is no workbook; add their hashes."""
     found: dict[str, Path] = {}
     for target, line in mapping.table.columns.items():
-        if line.sheet and path.suffix.lower() != contents.WORKBOOK:
+        if line.sheet and path.suffix.lower() != ingest.WORKBOOK:
             named = [file for file in files if line.sheet in {file.name, file.stem}]
             if len(named) != 1:
                 expected = f"the name of one further source, as {path.name} has no sheets"
@@ -204,7 +202,7 @@ def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: LabMapping, sh
 def _constant(name: str, line: MappedColumn, n_runs: int, mapping: LabMapping) -> npt.NDArray[Any]:
     value = str(line.value).lower() if isinstance(line.value, bool) else line.value
     if name == "run_id" and isinstance(value, str) and "{n" in value:
-        return object_array([contents.with_number(value, number) for number in range(1, n_runs + 1)])
+        return object_array([ingest.with_number(value, number) for number in range(1, n_runs + 1)])
     values = value if isinstance(value, list) else [value] * n_runs
     if len(values) != n_runs:
         raise bad_line(mapping.shown, "table", name, f"{len(values)} values", f"one value for each of {n_runs} runs")
@@ -247,15 +245,15 @@ def match_logs(
         found: dict[str, Path] = {}
         moment = moments.get(int(runs.line[index]))
         for tag, pattern in patterns.items():
-            wanted = (contents.expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
+            wanted = (ingest.expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
             if not wanted and named is not None:
                 continue
             names = [wanted] if named is None else [wanted, f"{wanted}.*"]
             fitting = [
                 path
                 for path in files
-                if (any(contents.fits_name(path.name, name) for name in names) if wanted else path.stem == run_id)
-                and (moment is None or contents.names_moment(path.name, moment))
+                if (any(ingest.fits_name(path.name, name) for name in names) if wanted else path.stem == run_id)
+                and (moment is None or ingest.names_moment(path.name, moment))
             ]
             if len(fitting) > 1:
                 raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
@@ -275,7 +273,7 @@ def match_logs(
 def sheet_of(path: Path) -> tuple[Path, str | None]:
     """Return a log's file, and the sheet where it is one of a workbook: ``book.xlsx/Run 1``."""
     book = path.parent
-    return (book, path.name) if book.suffix.lower() == contents.WORKBOOK and book.is_file() else (path, None)
+    return (book, path.name) if book.suffix.lower() == ingest.WORKBOOK and book.is_file() else (path, None)
 
 
 def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border: Border) -> None:
@@ -286,7 +284,7 @@ def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border
         text, code = "belongs to no run of the table", "unused_source"
         if twin is not None:
             text, code = f"holds the same bytes as {twin}", "repeated_log"
-        from_0 = log.file is not None and contents.run_in(path.name, log.file) == "0"
+        from_0 = log.file is not None and ingest.run_in(path.name, log.file) == "0"
         text += " and was omitted" + "; where logs count from 0, write {n-1} in log.file" * from_0
         border.say(str(path), text, code, level="suspicious" if from_0 else "info")
 
@@ -295,6 +293,6 @@ def files_of_runs(files: Sequence[Path], log: LogSection) -> dict[str, dict[str,
     """Return the runs of files by the patterns of ``log.files``, in the order of their names, and the files of each."""
     found: dict[str, dict[str, Path]] = {}
     for tag, pattern in log.files.items():
-        for path in (path for path in files if contents.fits_name(path.name, pattern)):
-            found.setdefault(contents.run_in(path.name, pattern) or "", {})[tag] = path
-    return dict(sorted(found.items(), key=lambda run: (contents.run_number(run[0], None) or 0, run[0])))
+        for path in (path for path in files if ingest.fits_name(path.name, pattern)):
+            found.setdefault(ingest.run_in(path.name, pattern) or "", {})[tag] = path
+    return dict(sorted(found.items(), key=lambda run: (ingest.run_number(run[0], None) or 0, run[0])))

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.ingest.contents import with_number
+from calib.campaign.ingest import with_number
 from calib.campaign.ingest.logs import CUT_COLUMN, MappedLog, continuous_counts, read_mapped
 from calib.campaign.ingest.mapping import LabMapping, MappedColumn, Segmentation
 from calib.campaign.ingest.runs import mapped_runs, sheet_of

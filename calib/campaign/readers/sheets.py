@@ -221,8 +221,7 @@ def finished(
         epochs[name] = int(time_ns[0])
         values[name] = (time_ns - time_ns[0]) / table.NS_PER_S
         written[name] = str(cells[0]).strip(), table.format_words(cells)
-        text = f"times were read as {written[name][1]}"
-        notes.append(Note("info", f"{shown}, column {name}", text, "time_format"))
+        notes.append(Note("info", f"{shown}, column {name}", f"times were read as {written[name][1]}", "time_format"))
     notes += table.notes_of_commas(columns, shown, line) if used_comma else []
     return RawTable(values, line, tuple(notes), epochs, written)
 

@@ -132,8 +132,7 @@ def _fill_merged(rows: dict[int, list[Any]], path: Path, part: str, shown: str, 
     n_filled = 0
     with zipfile.ZipFile(path) as archive:
         entry = next((one for one in archive.infolist() if one.filename.lstrip("/") == part.lstrip("/")), None)
-        blocks = _blocks(archive, entry) if entry else ()
-        merges = [match for block in blocks for match in _MERGED.findall(block)]
+        merges = [match for block in (_blocks(archive, entry) if entry else ()) for match in _MERGED.findall(block)]
     bottom = max(rows, default=0)
     places = sum(max(0, min(int(last), bottom) - int(first)) for _, first, _, last in merges)
     refuse_beyond(places, errors.SHEET_CELLS, shown=shown, what="merged cells", remedy=_REMEDY)
@@ -185,8 +184,7 @@ def check_size(path: Path, shown: str) -> int:
             return _check_parts(archive, shown)
     except _DAMAGE as error:
         found = "no workbook (it is not a zip archive, or a damaged one)"
-        remedy = "save it again as .xlsx, or export it as CSV"
-        raise BadFileError(shown, found, "an .xlsx file", remedy) from error
+        raise BadFileError(shown, found, "an .xlsx file", "save it again as .xlsx, or export it as CSV") from error
 
 
 def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:

@@ -5,7 +5,7 @@ Documents with a DOCTYPE are refused: entities could grow without end or name ot
 
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +17,7 @@ from calib.coefficients import formats
 from calib.coefficients.file import CoefficientFile
 from calib.coefficients.formats import Artifact, ExportOptions, LoadPair, accepted_lines, ascii_line, radii_m
 from calib.errors import BadFileError, BadInputError, CalibError, RefusedError
+from calib.types import grouped
 
 #: bytes; a model that is longer has its meshes inside
 LARGEST: Final = 50_000_000
@@ -162,16 +163,9 @@ class Slot:
     write: Callable[[tuple[float, ...]], None]
 
 
-def attribute_slot(model: ModelFile, node: Node, name: str, where: str) -> Slot:
-    """Return the number of an attribute; raises BadInputError as `numbers` does."""
-    values = numbers(node.attributes[name], f"{model.path}, {where}", 1)
-    return Slot(values, lambda new: model.set_attribute(node, name, written(new)))
-
-
 def text_slot(model: ModelFile, node: Node, where: str, count: int | None = None) -> Slot:
     """Return the numbers of an element's text; raises BadInputError as `numbers` does."""
-    values = numbers(node.text, f"{model.path}, {where}", count)
-    return Slot(values, lambda new: model.set_text(node, written(new)))
+    return Slot(numbers(node.text, f"{model.path}, {where}", count), lambda new: model.set_text(node, written(new)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,14 +248,15 @@ def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
     )
 
 
-def named(candidates: dict[str, list[Node]], name: str, path: Path, option: str) -> Node:
-    """Return the only element of a name; raises BadInputError."""
-    found = candidates.get(name, [])
+def named(candidates: Iterable[tuple[str, Node]], name: str, path: Path, option: str) -> Node:
+    """Return the only element of a name, of (name, element); raises BadInputError."""
+    known = grouped(candidates)
+    found = set(known.get(name, ()))
     if len(found) == 1:
-        return found[0]
-    if len(found) > 1:
+        return found.pop()
+    if found:
         raise BadInputError(f"{path}: found {len(found)} elements named {name!r}; expected one; rename them")
-    listed = ", ".join(sorted(candidates)[:20]) or "none with a name"
+    listed = ", ".join(sorted(known)[:20]) or "none with a name"
     raise BadInputError(f"{option}: found {name!r}; expected a wheel of {path.name}: {listed}; choose one of them")
 
 
@@ -296,17 +291,22 @@ PLUGIN_KEYS: Final[dict[str, Callable[[NewWheels], float]]] = {
 }
 
 
+def _plugin_parameters(model: ModelFile) -> Iterator[Node]:
+    # of plugins and of ros2_control
+    for node in model.root.walk():
+        if not node.children and any(above.tag in ("plugin", "ros2_control") for above in node.ancestors()):
+            yield node
+
+
 def patched(
     file: CoefficientFile,
     options: ExportOptions,
     root_tag: str,
     wheel: FindWheel,
-    plugins: Callable[[ModelFile], Iterator[tuple[str, Node]]] | None = None,
 ) -> tuple[Artifact, ...]:
     """Return the user's model with both wheels and the drive plugins set, and what it cannot express; see `FindWheel`.
 
-    `plugins` yields name and element of parameters that may be those of `PLUGIN_KEYS`. Raises BadInputError where
-    model, names or loads cannot be used.
+    Raises BadInputError where model, names or loads cannot be used.
     """
     if options.model is None or not options.left or not options.right:
         raise BadInputError(
@@ -325,7 +325,8 @@ def patched(
     clamped = (pair.left_N, pair.right_N) != (asked.left_N, asked.right_N)
     left, right = wheel(model, options.left, "--left"), wheel(model, options.right, "--right")
     notes = [*set_wheels(left, right, new), *_further_wheels(model, (left, right), wheel)]
-    for name, node in () if plugins is None else plugins(model):
+    for node in _plugin_parameters(model):
+        name = node.attributes.get("name", "") if node.tag == "param" else node.tag
         if name in PLUGIN_KEYS:
             text_slot(model, node, name, 1).write((PLUGIN_KEYS[name](new),))
             if new.left_m != new.right_m and not any(word in name for word in ("left", "right", "eparation")):

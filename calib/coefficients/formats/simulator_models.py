@@ -1,6 +1,6 @@
 """Models of simulators: radii and places of the wheels in ROS's URDF, Gazebo's SDF and MuJoCo's MJCF, and plugins."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Final
 
@@ -12,14 +12,6 @@ from calib.errors import RefusedError
 ROUND: Final = frozenset({"cylinder", "sphere", "capsule"})
 #: attributes that turn a frame
 TURNS: Final = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
-
-
-def plugin_parameters(model: ModelFile) -> Iterator[tuple[str, Node]]:
-    """Yield name and element of the parameters of plugins and of ros2_control."""
-    for node in model.root.walk():
-        if node.children or not any(above.tag in ("plugin", "ros2_control") for above in node.ancestors()):
-            continue
-        yield (node.attributes.get("name", "") if node.tag == "param" else node.tag), node
 
 
 def link_radii(
@@ -57,17 +49,15 @@ def sits_off(link: Node | None) -> bool:
 
 def _of_urdf(model: ModelFile, name: str, option: str) -> Wheel:
     joints = [node for node in model.root.children if node.tag == "joint"]
-    candidates: dict[str, list[Node]] = {}
-    for node in joints:
-        for known in {node.attributes.get("name", ""), _link(node, "child")} - {""}:
-            _add(candidates, known, node)
-    joint = model_file.named(candidates, name, model.path, option)
+    known = ((one, node) for node in joints for one in {node.attributes.get("name", ""), _link(node, "child")} - {""})
+    joint = model_file.named(known, name, model.path, option)
     link = model.root.child("link", _link(joint, "child"))
 
     def stated(shape: Node) -> Slot | None:
         if "radius" not in shape.attributes:
             return None
-        return model_file.attribute_slot(model, shape, "radius", f"radius of {name!r}")
+        values = numbers(shape.attributes["radius"], f"{model.path}, radius of {name!r}", 1)
+        return Slot(values, lambda new: model.set_attribute(shape, "radius", written(new)))
 
     radius, slots = link_radii(model, link, name, stated)
     frame = _link(joint, "parent")
@@ -110,13 +100,13 @@ def _tilted(model: ModelFile, joints: list[Node], link: str) -> str:
 
 
 def _of_sdf(model: ModelFile, name: str, option: str) -> Wheel:
-    candidates: dict[str, list[Node]] = {}
-    for node in model.root.walk():
-        if node.tag in ("link", "joint") and node.parent is not None and node.parent.tag == "model":
-            link = node if node.tag == "link" else _child_link(node)
-            if link is not None and "name" in node.attributes:
-                _add(candidates, node.attributes["name"], link)
-    link = model_file.named(candidates, name, model.path, option)
+    links = (
+        (node.attributes["name"], node if node.tag == "link" else _child_link(node))
+        for node in model.root.walk()
+        if node.tag in ("link", "joint") and node.parent is not None and node.parent.tag == "model"
+        if "name" in node.attributes
+    )
+    link = model_file.named(((known, link) for known, link in links if link is not None), name, model.path, option)
 
     def stated(shape: Node) -> Slot | None:
         radius = shape.child("radius")
@@ -136,12 +126,6 @@ def _of_sdf(model: ModelFile, name: str, option: str) -> Wheel:
 def _child_link(joint: Node) -> Node | None:
     child = joint.child("child")
     return None if child is None or joint.parent is None else joint.parent.child("link", child.text.strip())
-
-
-def _add(candidates: dict[str, list[Node]], name: str, node: Node) -> None:
-    known = candidates.setdefault(name, [])
-    if node not in known:
-        known.append(node)
 
 
 def _inside(model: ModelFile, link: Node, name: str) -> Slot | None:
@@ -210,15 +194,15 @@ def _of_mjcf(model: ModelFile, name: str, option: str) -> Wheel:
 
 
 def _body(model: ModelFile, name: str, option: str) -> Node:
-    candidates: dict[str, list[Node]] = {}
     world = model.root.child("worldbody")
-    for node in () if world is None else world.walk():
-        body = node if node.tag == "body" else node.parent
-        known = node.attributes.get("name")
-        if known is None or body is None or body.tag != "body" or node.tag not in ("body", "joint", "geom"):
-            continue
-        _add(candidates, known, body)
-    return model_file.named(candidates, name, model.path, option)
+    nodes = (node for node in (() if world is None else world.walk()) if "name" in node.attributes)
+    bodies = (
+        (node.attributes["name"], body)
+        for node in nodes
+        if node.tag in ("body", "joint", "geom")
+        if (body := node if node.tag == "body" else node.parent) is not None and body.tag == "body"
+    )
+    return model_file.named(bodies, name, model.path, option)
 
 
 def _shape(model: ModelFile, geom: Node) -> tuple[float, ...] | None:
@@ -248,6 +232,6 @@ def _is_class(node: Node, name: str | None) -> bool:
     return node.attributes.get("class") == name
 
 
-urdf: Final = partial(patched, root_tag="robot", wheel=_of_urdf, plugins=plugin_parameters)
-sdf: Final = partial(patched, root_tag="sdf", wheel=_of_sdf, plugins=plugin_parameters)
+urdf: Final = partial(patched, root_tag="robot", wheel=_of_urdf)
+sdf: Final = partial(patched, root_tag="sdf", wheel=_of_sdf)
 mjcf: Final = partial(patched, root_tag="mujoco", wheel=_of_mjcf)

@@ -7,25 +7,26 @@ from typing import Final
 
 import numpy as np
 
+from calib.gap.decision import most_square, reach_of_noise
 from calib.gap.decision.constancy import SessionScatter, SizeDifference, beside_named_steps, session_scatter
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
 from calib.gap.decision.kind import NEGLIGIBLE_SHARE, ON_FLOOR
-from calib.gap.decision.trials import most_square, reach_of_noise
-from calib.gap.effects.effect import Form
+from calib.gap.effects import Form
 from calib.gap.effects.encoder import Blunder
+from calib.gap.effects.mounting import Mounting, Restated
 from calib.gap.effects.quantities import session_steps
 from calib.gap.effects.radii import DIRECTIONS, NAMES
-from calib.gap.effects.reference import TurnedReference
-from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, undetermined
-from calib.gap.inference.marginal_likelihood import FLOOR_DOF, Nuisance
-from calib.gap.inference.thresholds import (
+from calib.gap.inference import (
     CERTAIN_PROBABILITY,
     EVEN_PROBABILITY,
     FORM_ERROR,
+    NOISE_LEVELS,
     PROBABILITY_CLASSES,
     SMALL_SHARE,
 )
-from calib.gap.observations.arrays import Channel
+from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, undetermined
+from calib.gap.inference.marginal_likelihood import FLOOR_DOF, Nuisance
+from calib.gap.observations import Channel
 from calib.types import FloatArray, few_digits
 
 #: a cause below this signal and this share of a larger one's signal, whose form may err by so much of its size
@@ -196,15 +197,16 @@ def jointly_zero(values: FloatArray, covariance: FloatArray, dof: float) -> bool
     return square <= len(values) * float(fdtri(len(values), max(dof, 3.0), 0.95))
 
 
-def blunder_cause(fault: Blunder | TurnedReference) -> Cause:
+def blunder_cause(fault: Blunder | Mounting) -> Cause:
     """Return a blunder corrected before the search as a cause: certain, the whole gap."""
     return Cause(
         effect=fault.effect.id,
         title=fault.effect.title,
         form=fault.label,
-        probability=1.0,
+        probability=fault.probability,
         share=1.0,
-        signal=float("inf"),
+        # of a place or delay as known as any size; of a blunder in the data beyond all noise
+        signal=float(np.linalg.norm(fault.size / fault.sd)) if isinstance(fault, Restated) else float("inf"),
         parameters={name: Quantity(*size) for name, size in fault.sizes.items()},
         remark=fault.remark,
         family=fault.effect.family.value,
@@ -218,6 +220,16 @@ def unexplained_of(evidence: Evidence) -> Unexplained | None:
     if (evidence.search.rest < EVEN_PROBABILITY and not beyond) or square <= n_rows:
         return None
     return Unexplained(1.0 - evidence.explained_share[0], float(np.sqrt(square - n_rows)), _places(evidence), beyond)
+
+
+def left_held_out(evidence: Evidence) -> Unexplained | None:
+    """Return what the causes leave of the gap on held-out runs, as an unexplained residual; None where within noise."""
+    held_out, usable = evidence.held_out, evidence.observations.usable
+    if held_out.closure.largest_residual <= NOISE_LEVELS:
+        return None
+    scaled = (np.nan_to_num(each[usable] / held_out.floor[usable]) for each in (held_out.before, held_out.after))
+    before, after = (max(float(each @ each) - len(each), 1.0) for each in scaled)
+    return Unexplained(min(after / before, 1.0), float(np.sqrt(after)))
 
 
 def places_as_unexplained(
@@ -238,15 +250,17 @@ def places_as_unexplained(
     return placed, replace(left, share=share, signal=signal, where=where)
 
 
-def limited_beside(unexplained: Unexplained | None, causes: Sequence[Cause]) -> list[Cause]:
-    """Return the causes; those of a weaker signal than the unexplained residual at even odds at most.
+def limited_beside(causes: Sequence[Cause], *left: Unexplained | None) -> list[Cause]:
+    """Return the causes; those of a weaker signal than an unexplained residual at even odds at most.
 
     What left so much may have left them, too; where it is beyond noise, all but the strongest may share it.
     """
-    if unexplained is None or unexplained.share <= SMALL_SHARE:
-        return [*causes]
-    limit = max([unexplained.signal, *(cause.signal for cause in causes if unexplained.beyond_noise)])
-    return limited_to_even(causes, {cause.effect for cause in causes if cause.signal < limit})
+    limited = [*causes]
+    for unexplained in left:
+        if unexplained is not None and unexplained.share > SMALL_SHARE:
+            limit = max([unexplained.signal, *(cause.signal for cause in causes if unexplained.beyond_noise)])
+            limited = limited_to_even(limited, {cause.effect for cause in causes if cause.signal < limit})
+    return limited
 
 
 def limited_to_even(causes: Sequence[Cause], doubtful: Collection[str]) -> list[Cause]:

@@ -7,19 +7,19 @@ from typing import Final
 import numpy as np
 
 from calib.gap.decision.diagnosis import Evidence
-from calib.gap.effects.effect import Family, Form
+from calib.gap.effects import Family, Form
 from calib.gap.effects.library import applied_perturbations, section_of
 from calib.gap.effects.radii import DIRECTIONS, NAMES, RadiusScale, SpeedRadius, TrackWidth
 from calib.gap.effects.reference import ReferenceScale
+from calib.gap.inference import CONFIDENCE, LOG_EVIDENCE_WINDOW
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, calibration_pushes, hypothesis_path
 from calib.gap.inference.least_squares import Weighting, prior_precision
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import MIN_EFFECT_SD, PRIOR_SHIFT_ODDS, SUBSETS
-from calib.gap.inference.thresholds import CONFIDENCE, LOG_EVIDENCE_WINDOW
-from calib.gap.observations.arrays import POSE
-from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of, sizes_on
+from calib.gap.observations import POSE
+from calib.gap.plan import SEPARATION_SD, aliases_of, sizes_on
 from calib.gap.predict import Path, predict
 from calib.types import FloatArray
 
@@ -287,7 +287,7 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
         for alias, share in shares.items():
             # support of the parameter is its alias', beside what the search found
             listed[alias] = max(listed.get(alias, 0.0), probability * share)
-    listed |= {fault.effect.id: 1.0 for fault in evidence.situation.faults}
+    listed |= {fault.effect.id: fault.probability for fault in evidence.situation.faults}
     listed["unknown"] = evidence.search.rest
     ordered = sorted(listed.items(), key=lambda item: -item[1])
     return {name: value for name, value in ordered if value > LISTED_PROBABILITY or name == "unknown"}

@@ -10,14 +10,12 @@ from typing import Final
 
 import numpy as np
 
+from calib.gap.decision import groupings
 from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.held_out import MOST_SESSION_FOLDS, improvement_of, left_with_others
-from calib.gap.decision.trials import groupings
-from calib.gap.effects.effect import Family
+from calib.gap.effects import Family
 from calib.gap.effects.radii import DIRECTIONS, NAMES, RadiusScale, SessionStep, UnequalRadii
-from calib.gap.inference.fit import CALIBRATION_SD, SIZE_SD, fit, whitened_rows
-from calib.gap.inference.least_squares import HeldOutFit
-from calib.gap.inference.thresholds import (
+from calib.gap.inference import (
     ADEQUATE_CLOSURE,
     FALSE_REJECTION,
     FORM_ERROR,
@@ -26,8 +24,10 @@ from calib.gap.inference.thresholds import (
     NOISE_LEVELS,
     SMALL_SHARE,
 )
-from calib.gap.localise.along_run import ON_THE_FLOOR
-from calib.gap.observations.arrays import Channel
+from calib.gap.inference.fit import CALIBRATION_SD, SIZE_SD, fit, whitened_rows
+from calib.gap.inference.least_squares import HeldOutFit
+from calib.gap.localise import ON_THE_FLOOR
+from calib.gap.observations import Channel
 from calib.gap.predict import residuals
 from calib.types import FloatArray, StrArray
 

@@ -13,7 +13,7 @@ from calib.campaign.checks.design import columns_as_one, listed
 from calib.campaign.checks.measurements import loads_against_payload
 from calib.campaign.model import Note
 from calib.gap.decision import causes as naming
-from calib.gap.decision import confounding, sentences
+from calib.gap.decision import confounding, reach_of_noise, sentences
 from calib.gap.decision.constancy import SizeDifference, size_differences, unchecked, without_refuted
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Fix, NoiseSummary, Situation, VerdictKind
 from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, without_length
@@ -30,12 +30,10 @@ from calib.gap.decision.kind import (
     stands_off,
 )
 from calib.gap.decision.part import as_delivered, is_named_beside, moved, sure_part
-from calib.gap.decision.trials import reach_of_noise
-from calib.gap.effects.effect import Family, Form
+from calib.gap.effects import Family, Form
 from calib.gap.effects.encoder import BAD_RUN_RATIO, BLUNDER_MISFIT
 from calib.gap.effects.radii import NAMES
-from calib.gap.inference.marginal_likelihood import Nuisance
-from calib.gap.inference.thresholds import (
+from calib.gap.inference import (
     CERTAIN_PROBABILITY,
     CONFIDENCE,
     EVEN_PROBABILITY,
@@ -44,6 +42,7 @@ from calib.gap.inference.thresholds import (
     NAMED_PROBABILITY,
     SMALL_SHARE,
 )
+from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.localise.locate import by_run
 
 #: families of unlike corrections: confounded members are no mere forms of one another
@@ -65,16 +64,16 @@ def decide(evidence: Evidence) -> Diagnosis:
     certain = confounding.with_alternatives(evidence, confounded)
     probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
     differing = size_differences(evidence, probable)
-    causes = naming.limited_beside(unexplained, naming.causes_of(evidence, stated, certain, forms_open))
+    causes = naming.limited_beside(naming.causes_of(evidence, stated, certain, forms_open), unexplained)
     # no reading decides between causes of what went together
     causes = naming.limited_to_even(causes, {group[0] for group in groups if parting(group)}.union(differing))
     small = _small(evidence, causes, probable, certain)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
     # probable by an alias and hardly in the 95 % set: not the cause to name
-    doubted = {cause.effect for cause in causes if cause.probability <= 1.0 - CONFIDENCE}
-    causes = [cause for cause in causes if cause.effect not in doubted]
-    placed, unexplained = naming.places_as_unexplained(evidence, causes, unexplained)
-    causes = naming.limited_beside(unexplained, [cause for cause in causes if cause not in placed])
+    likely = [cause for cause in causes if cause.probability > 1.0 - CONFIDENCE]
+    placed, unexplained = naming.places_as_unexplained(evidence, likely, unexplained)
+    doubted, causes = len(likely) < len(causes), [cause for cause in likely if cause not in placed]
+    causes = naming.limited_beside(causes, unexplained, naming.left_held_out(evidence))
     causes = naming.limited_to_even(causes, open_sizes := unchecked(evidence, causes))
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     stated |= {cause.effect: min(cause.probability, EVEN_PROBABILITY) for cause in placed}
@@ -83,7 +82,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     gap_probability = confounding.gap_probability(evidence)
     # off and excluded from the library: nothing explains it
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
-    doubtful = bool(doubted or open_sizes) or _rather_not(causes, certain)
+    doubtful = doubted or bool(open_sizes) or _rather_not(causes, certain)
     kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubtful)
     kind, gap_probability, noise_level = _as_shown(evidence, kind, gap_probability)
     if kind in NOTHING_NAMED:
@@ -160,6 +159,10 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     said = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
     if diagnosis.kind in NOTHING_NAMED:
         first = _on_data(evidence.situation, blunder) or _single_runs(evidence) * (diagnosis.kind is VerdictKind.NO_GAP)
+        # a recording that alone is off is no sound one
+        if diagnosis.kind is VerdictKind.NO_GAP and evidence.observations.windowed and evidence.situation.omitted:
+            names = sentences.joined(evidence.situation.omitted, "and")
+            first = (*first, f"{names} alone: look at reference, start, counts and steering, or exclude.")
     else:
         first = tuple(note.sentence for note in _wrong_data(evidence.situation, diagnosis.causes))
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
@@ -322,7 +325,7 @@ def _on_omitted(omitted: Mapping[str, float]) -> str:
     runs = sentences.joined((f"{run} ({100 * share:.0f} % of its length)" for run, share in omitted.items()), "and")
     return (
         f" Omitted, since no other run ends off nearly as far: {runs}. Look for a counter that was reset or stood "
-        "still, or a reference that is mistyped or another run's, with 'calib check'."
+        "still, or a reference that is late, mistyped or another run's, with 'calib check'."
     )
 
 

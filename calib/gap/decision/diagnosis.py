@@ -10,22 +10,23 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.documents import SENTENCES, Result, in_words, plain, plain_fields
+from calib.gap.decision import Trial
 from calib.gap.decision.held_out import Closure, HeldOut, Improvement
-from calib.gap.decision.trials import Trial
-from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects import Effect, Form
 from calib.gap.effects.encoder import Blunder
+from calib.gap.effects.mounting import Mounting
 from calib.gap.effects.radii import AnySpeed
-from calib.gap.effects.reference import ReferenceScale, TurnedReference
+from calib.gap.effects.reference import ReferenceScale
+from calib.gap.inference import EVEN_PROBABILITY
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import Recalibration
-from calib.gap.inference.thresholds import EVEN_PROBABILITY
 from calib.gap.localise.locate import GapLocation
-from calib.gap.observations.arrays import Channel, Observations
-from calib.gap.plan.identifiability import DetectionLimit
+from calib.gap.observations import Channel, Observations
+from calib.gap.plan import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun
 from calib.gap.predict import Path, residuals
 from calib.types import FloatArray
@@ -43,7 +44,7 @@ class Situation:
     campaign: Campaign
     observations: Observations
     notes: tuple[str, ...] = ()  #: what was assumed
-    faults: tuple[Blunder | TurnedReference, ...] = ()  #: blunders of encoders and reference mounting, corrected
+    faults: tuple[Blunder | Mounting, ...] = ()  #: blunders of encoders and reference mounting, corrected
     as_counted: FloatArray | None = None  #: shape (n_units, n_channels): the gap as counted, before
     #: share of each run omitted, by id, see `bad_runs`
     omitted: Mapping[str, float] = field(default_factory=dict)

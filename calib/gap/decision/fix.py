@@ -5,17 +5,16 @@ from dataclasses import replace
 from math import inf, prod, sqrt
 from typing import Final
 
-from calib.gap.decision import confounding
+from calib.gap.decision import Trial, confounding
 from calib.gap.decision.causes import Finding
 from calib.gap.decision.constancy import SET_WITH_SESSIONS
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import Closure, Improvement
 from calib.gap.decision.kind import corrections_agree, fails
-from calib.gap.decision.trials import Trial
-from calib.gap.effects.effect import Family
+from calib.gap.effects import Family
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
-from calib.gap.inference.thresholds import (
+from calib.gap.inference import (
     CERTAIN_PROBABILITY,
     EVEN_PROBABILITY,
     FALSE_ALARM,

@@ -6,11 +6,11 @@ from typing import Any, Final
 import numpy as np
 
 from calib.documents import plain_fields
+from calib.gap.inference import FULL_CLOSURE, NOISE_LEVELS
 from calib.gap.inference.fit import squares_by_unit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
-from calib.gap.inference.thresholds import FULL_CLOSURE, NOISE_LEVELS
-from calib.gap.observations.arrays import POSE, Channel, Observations
+from calib.gap.observations import POSE, Channel, Observations
 from calib.gap.predict import Path, measured_gap, residuals
 from calib.types import BoolArray, FloatArray, IntArray
 

@@ -7,14 +7,12 @@ from typing import Final
 
 import numpy as np
 
+from calib.gap.decision import Trial, most_square, reach_of_noise
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Unexplained, VerdictKind
 from calib.gap.decision.held_out import RERUN, Closure, Improvement, end_rms_m
-from calib.gap.decision.trials import Trial, most_square, reach_of_noise
-from calib.gap.effects.effect import forms_on
+from calib.gap.effects import forms_on
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
-from calib.gap.inference.fit import hypothesis_path
-from calib.gap.inference.noise import MAX_NOISE_EXCESS, STATED_EXCESS, Noise
-from calib.gap.inference.thresholds import (
+from calib.gap.inference import (
     ADEQUATE_CLOSURE,
     CERTAIN_PROBABILITY,
     CONFIDENCE,
@@ -27,7 +25,9 @@ from calib.gap.inference.thresholds import (
     REPORTED_GAP_PROBABILITY,
     SMALL_SHARE,
 )
-from calib.gap.observations.arrays import Channel
+from calib.gap.inference.fit import hypothesis_path
+from calib.gap.inference.noise import MAX_NOISE_EXCESS, STATED_EXCESS, Noise
+from calib.gap.observations import Channel
 from calib.gap.predict import Path, residuals
 from calib.types import few_digits
 
@@ -211,14 +211,17 @@ def no_mere_noise(evidence: Evidence) -> str:
 def stands_off(evidence: Evidence) -> bool:
     """Return whether runs that agree stand off on one side beyond the reach of noise.
 
-    All runs of a condition, or one of a route by that much and another beyond noise on that route. Where no repeats
-    measure the noise, also whether all are off beyond any level as uncertain as `log_marginal` takes the stated one.
+    All runs of a condition, or one of a route by that much and another beyond noise on that route. Of recordings also
+    whether all together are off by what no single one is by noise; where no repeats measure it, whether all are off
+    beyond any level as uncertain as `log_marginal` takes the stated one.
     """
     usable, noise = evidence.observations.usable, evidence.noise
     if noise.dof <= 0.0 and evidence.fitted.chi_square > most_square(int(usable.sum())):
         return True
     scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
     reach = reach_of_noise(noise.dof, int(usable.sum()))
+    if evidence.observations.windowed and ((scaled**2).sum(axis=0) > reach**2 * usable.sum(axis=0)).any():
+        return True
     _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
     agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled.T), *(-reach > scaled.T)]]
     # windows of a recording share what its radii are off by

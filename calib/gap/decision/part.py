@@ -7,20 +7,19 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.decision import confounding
+from calib.gap.decision import Trial, confounding, most_square, trials
 from calib.gap.decision import fix as rule
 from calib.gap.decision.causes import Finding, jointly_zero
 from calib.gap.decision.constancy import half_of_steps
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
 from calib.gap.decision.held_out import Improvement, improvement_of
-from calib.gap.decision.trials import Trial, most_square, trials
-from calib.gap.effects.effect import Family
+from calib.gap.effects import Family
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.quantities import session_steps
 from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS
+from calib.gap.inference import CERTAIN_PROBABILITY, EVEN_PROBABILITY, HALF_CLOSURE
 from calib.gap.inference.fit import Fitted, fit
 from calib.gap.inference.least_squares import HeldOutFit
-from calib.gap.inference.thresholds import CERTAIN_PROBABILITY, EVEN_PROBABILITY, HALF_CLOSURE
 from calib.gap.predict import residuals
 from calib.types import FloatArray, few_digits
 

@@ -11,14 +11,14 @@ from calib.gap.decision.held_out import RERUN, ChannelClosure
 from calib.gap.decision.kind import ON_FLOOR, fails
 from calib.gap.effects.library import effect_class, title_of
 from calib.gap.effects.radii import HIDES_IN
-from calib.gap.inference.thresholds import (
+from calib.gap.inference import (
     CERTAIN_PROBABILITY,
     EVEN_PROBABILITY,
     HALF_CLOSURE,
     NOISE_LEVELS,
     REPORTED_GAP_PROBABILITY,
 )
-from calib.gap.localise.along_run import PlaceResult
+from calib.gap.localise import PlaceResult
 from calib.gap.localise.locate import GapLocation
 from calib.types import few_digits
 
@@ -45,8 +45,8 @@ def sentence(diagnosis: Diagnosis) -> str:
 
 #: where runs end off by more than wheels and floor can
 CHECK_UNITS: Final = (
-    "Check units (metres, radians, newtons), axes of the reference (x ahead, y to the left, angles counter-clockwise), "
-    "swapped columns, counts per revolution, and wheels that this drive does not have."
+    "Check units (metres, radians, newtons), axes of the reference (x ahead, y to the left, angles counter-clockwise) "
+    "and its clock, swapped columns, counts per revolution, and wheels that this drive does not have."
 )
 
 

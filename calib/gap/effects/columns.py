@@ -11,8 +11,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from calib.campaign.model import NUMERIC_COLUMNS
 from calib.coefficients.sections import first_fault
 from calib.errors import BadFileError, BadInputError
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Proportional, varies
-from calib.gap.observations.arrays import Observations
+from calib.gap.effects import Centre, Effect, Family, Form, Parameter, Proportional, varies
+from calib.gap.observations import Observations
 from calib.types import FloatArray
 
 COVARIATE_PREFIX: Final = "covariate:"

@@ -2,16 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import ClassVar, Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Parameter, Perturbations, acting_on, varies
+from calib.gap import Perturbation
+from calib.gap.effects import Effect, Family, Form, Parameter, Perturbations, acting_on, varies
 from calib.gap.effects.quantities import PAPER_RADIUS_M, mean_radius_m
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.predict import Path, predict, residuals
-from calib.gap.steps import Perturbation
 from calib.types import FloatArray
 
 #: counters that begin within a hundredth of a turn in all runs are set back before each
@@ -192,6 +192,7 @@ class Blunder:
     """What the counts have to be multiplied by to be right; sides swapped first where `swapped`."""
 
     effect = EncoderBlunder
+    probability: ClassVar[float] = 1.0
 
     label: str
     left: float

@@ -8,11 +8,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Parameter, always, on_both, varies
-from calib.gap.observations.arrays import STRAIGHT_RAD, Channel, Observations
+from calib.gap import Perturbation
+from calib.gap.effects import Effect, Family, Form, Parameter, always, on_both, varies
+from calib.gap.observations import STRAIGHT_RAD, Channel, Observations
 from calib.gap.observations.routes import ROUTE_LENGTH_SHARE, lane_names
 from calib.gap.predict import GUIDED_TURN_RAD, Path, predict
-from calib.gap.steps import Perturbation
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: a manoeuvre is shorter

@@ -12,7 +12,22 @@ from calib.campaign.read import SETTINGS
 from calib.campaign.settings import OdometryModel
 from calib.documents import plain
 from calib.errors import COVARIATES, BadInputError, refuse_beyond
-from calib.gap.effects import encoder, floor, load, radii, reference, simulator, steering, turning
+from calib.gap import Perturbation
+from calib.gap.effects import (
+    Centre,
+    Effect,
+    Family,
+    Form,
+    encoder,
+    floor,
+    load,
+    matching_form,
+    radii,
+    reference,
+    simulator,
+    steering,
+    turning,
+)
 from calib.gap.effects.columns import (
     COVARIATE_PREFIX,
     Covariate,
@@ -20,14 +35,13 @@ from calib.gap.effects.columns import (
     declared_effects,
     entry_point_effects,
 )
-from calib.gap.effects.effect import Centre, Effect, Family, Form, matching_form
 from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected
+from calib.gap.effects.mounting import RESTATED
 from calib.gap.effects.radii import Wear
-from calib.gap.effects.reference import ReferenceLatency
+from calib.gap.effects.reference import ReferenceLatency, ReferenceLeverArm
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
-from calib.gap.observations.arrays import POSE, Channel, Observations
+from calib.gap.observations import POSE, Channel, Observations
 from calib.gap.predict import Path, predict, signature
-from calib.gap.steps import Perturbation
 from calib.radius.law import within_law
 from calib.types import FloatArray
 
@@ -264,11 +278,26 @@ def model_of(path: FilePath | str, campaign: Campaign) -> "tuple[OdometryModel, 
     return believed_model(file, campaign.model.reference_load_N), (*effects, *_delay_of(file))
 
 
-def with_sensor_of(path: FilePath | str, campaign: Campaign) -> Campaign:
-    """Return the campaign with the reference's sensor where a geometry in a coefficient file found it."""
+def with_mounting_of(
+    path: FilePath | str, campaign: Campaign, effects: "Sequence[EffectSection]" = ()
+) -> "tuple[Campaign, tuple[EffectSection, ...]]":
+    """Return the campaign with the reference's sensor where a coefficient file has it, and the other `effects`.
+
+    A lever arm is a place, too; of positions alone place and delay tell the heading, which no effect on a course does.
+    """
     from calib.coefficients.file import load_coefficients
 
-    return replace(campaign, reference=load_coefficients(path).sensor(campaign.reference))
+    campaign = replace(campaign, reference=load_coefficients(path).sensor(campaign.reference))
+    headed = np.isfinite(campaign.logs.columns.get("ref_theta_rad", np.full(1, np.nan))).any()
+    others: list[EffectSection] = []
+    for section in effects:
+        kind, _ = RESTATED.get(section.effect, (None, None))
+        if kind is None or section.form != kind.label or (headed and section.effect != ReferenceLeverArm.id):
+            others.append(section)
+            continue
+        sizes = np.array([section.parameters[name].value for name in kind.names])
+        campaign = kind(sizes, 0.0 * sizes).correct(campaign)
+    return campaign, tuple(others)
 
 
 def beyond_law(path: FilePath | str, observations: Observations) -> tuple[str, ...]:
@@ -276,10 +305,8 @@ def beyond_law(path: FilePath | str, observations: Observations) -> tuple[str, .
     from calib.coefficients.file import load_coefficients
 
     file = load_coefficients(path)
-    if within_law(file.law, *observations.loads_N).all():
-        return ()
     said = "wheel loads lie outside the valid range of the model: its law is extended to them"
-    return (f"{said} (on a vehicle: {file.outside})",)
+    return (f"{said} (on a vehicle: {file.outside})",) * (not within_law(file.law, *observations.loads_N).all())
 
 
 def _delay_of(file: "CoefficientFile") -> "tuple[EffectSection, ...]":

@@ -5,11 +5,11 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, always, varies
+from calib.gap import Perturbation
+from calib.gap.effects import Centre, Effect, Family, Form, Parameter, Perturbations, always, varies
 from calib.gap.effects.quantities import loads_vary, mean_radius_m, reach, same_load_N, softness
-from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.observations import Channel, Observations
 from calib.gap.predict import Path
-from calib.gap.steps import Perturbation
 from calib.types import GRAVITY_MPS2, BoolArray, FloatArray
 from calib.vehicle import wheel_loads_N
 

@@ -4,8 +4,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import varies
-from calib.gap.observations.arrays import Observations
+from calib.gap.effects import varies
+from calib.gap.observations import Observations
 from calib.gap.observations.routes import row_numbers
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray, StrArray
@@ -66,7 +66,7 @@ def sessions(observations: Observations) -> StrArray:
     """Return the session of each observation, shape (n_obs,).
 
     Where none are written down, a stretch of runs under one load is one: anything may have changed with the load. Loads
-    that change more often leave a single session.
+    that change more often leave a single session, as do recordings of loads that come back.
     """
     session = observations.labels["session"]
     if np.any(session != session[:1]):
@@ -75,6 +75,12 @@ def sessions(observations: Observations) -> StrArray:
     changes = np.flatnonzero(steps > same_load_N(observations)) + 1
     lengths = np.diff(np.concatenate(([0], changes, [len(observations)])))
     if not len(changes) or lengths.min() < MIN_RUNS_PER_LOAD:
+        return session
+    # windows of one run are one run
+    runs = [len(np.unique(of)) for of in np.split(observations.run, changes)]
+    at = observations.wheel_loads_N[:, np.concatenate(([0], changes))]
+    apart = np.abs(at[:, :, None] - at[:, None, :]).max(axis=0) > same_load_N(observations)
+    if min(runs) < MIN_RUNS_PER_LOAD and not apart[np.triu_indices(len(runs), 1)].all():
         return session
     number = np.repeat(np.arange(1, len(lengths) + 1), lengths)
     return np.array([f"stretch_{k}" for k in number])

@@ -10,7 +10,8 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from calib.gap.effects.effect import (
+from calib.gap import Perturbation
+from calib.gap.effects import (
     Centre,
     Effect,
     Family,
@@ -32,9 +33,8 @@ from calib.gap.effects.quantities import (
     standstill_mps,
 )
 from calib.gap.effects.steering import angle_error, has_front, rate_per_s
-from calib.gap.observations.arrays import STRAIGHT_RAD, Observations
+from calib.gap.observations import STRAIGHT_RAD, Observations
 from calib.gap.predict import Path, predict
-from calib.gap.steps import Perturbation
 from calib.radius.path_length import whole_period_excess
 from calib.types import BoolArray, FloatArray
 from calib.vehicle import SKID_TRACK

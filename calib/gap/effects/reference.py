@@ -1,19 +1,18 @@
 """Instruments: errors of the rangefinder and of the pose reference."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import ClassVar, Final
 
 import numpy as np
 
-from calib.campaign.model import Campaign
-from calib.gap.effects.effect import Centre, Effect, Family, Form, Parameter, Perturbations, varies
+from calib.gap import Perturbation, total_perturbation
+from calib.gap.effects import Centre, Effect, Family, Form, Parameter, Perturbations, varies
 from calib.gap.effects.quantities import end_motion, reach, standstill_mps
-from calib.gap.observations.arrays import POSE, Channel, Observations
-from calib.gap.predict import Path, predict, residuals
-from calib.gap.steps import Perturbation, total_perturbation
-from calib.types import ComplexArray, FloatArray
+from calib.gap.observations import Channel, Observations
+from calib.gap.predict import Path, predict
+from calib.types import FloatArray
 
 
 class _OfRangefinder(Effect):
@@ -106,6 +105,7 @@ class ReferenceLeverArm(Effect):
     family = Family.REFERENCE
     needs = "end positions of runs that turn"
     separates = "turns on the spot"
+    NAMES: ClassVar[tuple[str, str]] = ("lever_x", "lever_y")
 
     def forms(self, observations: Observations) -> list[Form]:
         """See `Effect`."""
@@ -119,8 +119,8 @@ class ReferenceLeverArm(Effect):
         scale = reach(observations)
         # a steered vehicle's sensor can sit anywhere between the axles
         longest = max(2e-1 * scale, observations.vehicle.wheelbase_m * observations.by_front)
-        names = (("lever_x", longest), ("lever_y", 2e-1 * scale))
-        parameters = tuple(Parameter(name, "m", typical=1e-2 * scale, largest=most) for name, most in names)
+        most = zip(self.NAMES, (longest, 2e-1 * scale), strict=True)
+        parameters = tuple(Parameter(name, "m", typical=1e-2 * scale, largest=largest) for name, largest in most)
         return [Form(self.id, "", parameters, perturbations)]
 
     def elsewhere(self, observations: Observations) -> tuple[float, str]:
@@ -163,7 +163,9 @@ class ReferenceYaw(Effect):
 
     def forms(self, observations: Observations) -> list[Form]:
         """See `Effect`."""
-        if not observations.usable[:, 2].any():
+        # a course is taken from the positions themselves: it has no axes to be turned against
+        read = np.asarray(~observations.course_error.any(axis=(1, 2)))
+        if not observations.usable[read, 2].any():
             return []
         parameter = Parameter("yaw", "rad", typical=5e-3, largest=5e-2)
 
@@ -172,8 +174,9 @@ class ReferenceYaw(Effect):
 
         def turned(path: Path, heading: float) -> list[Perturbation]:
             along, lateral = _read_at(path, 1j * complex(*observations.sensor_m))
-            reading = Perturbation.on_readings(path.s, along=along, lateral=lateral, heading=heading)
-            return [replace(reading, turned_rad=np.ones(len(path.s)))]
+            by = path.s.here(read.astype(np.float64))
+            reading = Perturbation.on_readings(path.s, along=by * along, lateral=by * lateral, heading=by * heading)
+            return [replace(reading, turned_rad=by)]
 
         return self.offer([(label, (parameter,), partial(turned, heading=one)) for label, one in shapes.items()])
 
@@ -240,6 +243,7 @@ class ReferenceLatency(Effect):
     #: label of the form of end poses alone, and of that whose delay grows
     OF_POSE: ClassVar[str] = "end pose"
     OF_CLOCK: ClassVar[str] = "a clock at another rate"
+    DELAY: ClassVar[str] = "latency"
 
     def forms(self, observations: Observations) -> list[Form]:
         """See `Effect`."""
@@ -263,7 +267,7 @@ class ReferenceLatency(Effect):
         late |= {"laser": laser} if has_laser else {}
         late |= {"end pose and laser": replace(pose, reading=laser.reading)} if has_pose and has_laser else {}
         since: dict[str, FloatArray] = {}
-        parameters = dict.fromkeys(late, Parameter("latency", "s", typical=5e-2, largest=5e-1))
+        parameters = dict.fromkeys(late, Parameter(self.DELAY, "s", typical=5e-2, largest=5e-1))
         if has_pose and observations.windowed:
             # of a clock at another rate the delay grows with the time since the run's start
             begin_s = np.where(logged, observations.start_s, 0.0)
@@ -277,121 +281,3 @@ class ReferenceLatency(Effect):
             return [total_perturbation(path.s, [late[label], off])]
 
         return self.offer([(label, (parameters[label],), partial(push, label=label)) for label in late])
-
-
-#: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth
-MIN_TURN_RAD: Final = 0.1
-#: a turned reference keeps lengths; one that stretches them by more is another fault
-MAX_STRETCH: Final = 0.2
-#: a turn and a place are two unknowns of each run's two: with fewer runs they explain anything
-MIN_TURNED_RUNS: Final = 4
-#: what the angle leaves is less than this share of what it explains, and what bends the heading less than this of it
-TURN_RESIDUAL_SHARE: Final = 0.2
-#: by how much the end's heading may be off where none is measured: radii unequal by a hundredth, over ten tracks
-HEADING_ERROR_RAD: Final = 0.1
-MIRRORED: Final = 0.999  #: confidence at which the scatter of ends tells mirrored axes from turned ones
-
-
-@dataclass(frozen=True, slots=True)
-class TurnedReference:
-    """The angle by which the sensor's axes are turned against the vehicle's, beyond what the campaign states."""
-
-    effect = ReferenceYaw
-    #: yaw_rad, sd_rad: the angle and its standard uncertainty
-    yaw_rad: float
-    sd_rad: float
-    #: whether y has to be mirrored first
-    mirrored: bool = False
-
-    @property
-    def label(self) -> str:
-        """What is wrong with the axes."""
-        if not self.mirrored:
-            return "the sensor is mounted turned"
-        quarter = abs(abs(self.yaw_rad) - np.pi / 2.0) < MIN_TURN_RAD
-        return "x and y are exchanged" if quarter else "the axes are mirrored"
-
-    @property
-    def remark(self) -> str:
-        """What to do about it."""
-        state = f"state sensor_yaw_rad = {self.yaw_rad:.4f} in [reference] of campaign.toml"
-        if not self.mirrored:
-            return f"{state}, then diagnose again"
-        if "exchanged" in self.label:
-            signs = "" if self.yaw_rad > 0.0 else ", both with the other sign"
-            return f"{self.label}{signs}: correct ref_x_m and ref_y_m, then diagnose again"
-        also = "" if abs(self.yaw_rad) < MIN_TURN_RAD else f", {state}"
-        return f"y is positive to the right: change the sign of ref_y_m{also}, then diagnose again"
-
-    @property
-    def sizes(self) -> Mapping[str, tuple[float, tuple[float, float], str]]:
-        """Value, 95 % interval and unit of its parameter."""
-        value, half = self.yaw_rad, 2.0 * self.sd_rad
-        return {"yaw": (value, (value - half, value + half), "rad")}
-
-    def refined(self, turned_rad: float, sd_rad: float) -> "TurnedReference":
-        """Return the mounting whose positions a fit beside the other causes found turned by so much more."""
-        return replace(self, yaw_rad=self.yaw_rad - turned_rad, sd_rad=sd_rad)
-
-    def correct(self, campaign: Campaign) -> Campaign:
-        """Return the campaign with the sensor's yaw stated, y mirrored where that is needed."""
-        if self.mirrored:
-            runs, logs = campaign.runs, campaign.logs
-            numbers, columns = (
-                {name: -values if name == "ref_y_m" else values for name, values in each.items()}
-                for each in (runs.numbers, logs.columns)
-            )
-            campaign = replace(campaign, runs=replace(runs, numbers=numbers), logs=replace(logs, columns=columns))
-        reference = campaign.reference
-        yaw_rad = float(np.angle(np.exp(1j * (reference.sensor_yaw_rad + self.yaw_rad))))
-        return replace(campaign, reference=replace(reference, sensor_yaw_rad=yaw_rad))
-
-
-def find_turned(nominal: Path) -> TurnedReference | None:
-    """Return the large angle by which the reference is turned; None where there is none, or it explains too little.
-
-    A sensor at the place l on the vehicle and turned by psi sees the end z of a run that turned by theta as
-    ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns; mirrored axes see the conjugate.
-    """
-    from scipy.special import fdtri
-
-    observations = nominal.s
-    on = observations.usable[:, POSE].all(axis=1)
-    if on.sum() < MIN_TURNED_RUNS or np.isfinite(observations.simulated).any():
-        return None
-    headed = observations.usable[:, Channel.HEADING]
-    heading = np.where(headed, residuals(nominal, nominal)[:, Channel.HEADING], 0.0)
-    # radii that bend a path evenly turn its end by half of what they turn the heading
-    end = (nominal.end[on, 0] + 1j * nominal.end[on, 1]) * np.exp(0.5j * heading[on])
-    seen = observations.measured[on, Channel.ALONG] + 1j * observations.measured[on, Channel.LATERAL]
-    turned = np.exp(1j * (nominal.end[on, 2] + heading[on])) - 1.0
-    turn, left_m2 = _turn(end, turned, seen)
-    # on a map, displacements were turned by start headings that are right
-    mirrored_seen = seen.conj() * np.exp(-2j * np.nan_to_num(observations.start_pose[on, 2]))
-    mirror, mirrored_left_m2 = _turn(end, turned, mirrored_seen)
-    # wrong radii leave as much in both, but for the direction of an end
-    aimed = np.exp(1j * np.angle(end)) * np.abs(seen)
-    aside, mirrored_aside = (_turn(aimed, turned, each)[1] for each in (seen, mirrored_seen))
-    by_chance = mirrored_aside * fdtri(len(seen), len(seen), MIRRORED)
-    mirrored = mirrored_left_m2 < TURN_RESIDUAL_SHARE**2 * left_m2 or bool(aside > by_chance)
-    if mirrored:
-        turn, left_m2 = mirror, mirrored_left_m2
-    yaw_rad = -float(np.angle(turn))
-    if abs(abs(turn) - 1.0) > MAX_STRETCH:
-        return None
-    by_place = turned.conj() @ (seen - end) / (turned.conj() @ turned + 1e-3)
-    before_m2 = float(np.sum(np.abs(seen - end - by_place * turned) ** 2))
-    bent_rad = float(np.sqrt(np.mean(heading[headed] ** 2))) if headed.any() else HEADING_ERROR_RAD
-    # swapped wheels mirror the headings too, and turn nothing
-    angle_rad = max(abs(yaw_rad), float(np.sqrt(np.mean(nominal.end[on, 2] ** 2))) if mirrored else 0.0)
-    if angle_rad < max(MIN_TURN_RAD, bent_rad / TURN_RESIDUAL_SHARE) or left_m2 > TURN_RESIDUAL_SHARE**2 * before_m2:
-        return None
-    sd_rad = float(np.sqrt(left_m2 / (2 * (len(seen) - 2)) / np.sum(np.abs(end) ** 2)))
-    return TurnedReference(yaw_rad, sd_rad, mirrored)
-
-
-def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[complex, float]:
-    # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
-    columns, prior = np.stack([end, turned], axis=1), np.diag([1e-9, 1e-3])
-    turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)
-    return complex(turn), float(np.sum(np.abs(seen - turn * end - place * turned) ** 2))

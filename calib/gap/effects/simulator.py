@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Parameter, Perturbations
-from calib.gap.observations.arrays import N_CHANNELS, POSE, Channel, Observations
+from calib.gap import Perturbation
+from calib.gap.effects import Effect, Family, Form, Parameter, Perturbations
+from calib.gap.observations import N_CHANNELS, POSE, Channel, Observations
 from calib.gap.predict import Path, predict
-from calib.gap.steps import Perturbation
 from calib.types import FloatArray
 
 SIMULATOR_PREFIX: Final = "simulator:"

@@ -4,9 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Family, Form, Parameter, always
-from calib.gap.observations.arrays import Channel, Observations
-from calib.gap.steps import Perturbation, joined_perturbation
+from calib.gap import Perturbation, joined_perturbation
+from calib.gap.effects import Effect, Family, Form, Parameter, always
+from calib.gap.observations import Channel, Observations
 from calib.kinematics.blunders import still_steering, straight_reading_rad
 from calib.types import BoolArray, FloatArray, IntArray
 

@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects import quantities
-from calib.gap.effects.effect import (
+from calib.gap import Perturbation
+from calib.gap.effects import (
     Centre,
     Effect,
     Family,
@@ -19,13 +19,13 @@ from calib.gap.effects.effect import (
     Perturbations,
     always,
     on_both,
+    quantities,
     varies,
 )
 from calib.gap.effects.load import slope_parameters
 from calib.gap.effects.steering import excess, front_travel_m, front_turn_rad, has_front, rate_per_s
-from calib.gap.observations.arrays import POSE, Observations
+from calib.gap.observations import POSE, Observations
 from calib.gap.predict import Path
-from calib.gap.steps import Perturbation
 from calib.types import GRAVITY_MPS2, FloatArray
 
 #: what slip of the typical size makes of a run is not seen below this

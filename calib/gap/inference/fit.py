@@ -7,11 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Form, Parameter
+from calib.gap import Perturbation, joined_perturbation, total_perturbation
+from calib.gap.effects import Form, Parameter
 from calib.gap.inference.noise import Noise
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.predict import Path, predict, residuals, signature
-from calib.gap.steps import Perturbation, joined_perturbation, total_perturbation
 from calib.types import BoolArray, FloatArray
 
 #: prior standard deviation of sizes, in typical sizes: only keeps the solution finite

@@ -14,7 +14,7 @@ import numpy as np
 from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.noise_components import ambient_interactions, ambient_trends
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray
 

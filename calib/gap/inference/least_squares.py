@@ -11,7 +11,7 @@ from calib.gap.inference.fit import CALIBRATION_SD, Fitted, by_form, whitened
 from calib.gap.inference.lack_of_fit import LackOfFit
 from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.noise import Noise
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.predict import Path, residuals
 from calib.types import BoolArray, FloatArray
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Form
+from calib.gap.effects import Form
 from calib.gap.inference import fit as fitting
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted
 from calib.gap.inference.lack_of_fit import LACK_OF_FIT_SCALES, Blocks, LackOfFit, lack_of_fit_components

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Form
+from calib.gap.effects import Form
 from calib.gap.effects.library import effect_class
 from calib.gap.inference.fit import Fitted, by_form
 from calib.gap.inference.least_squares import Weighting, controlled_step

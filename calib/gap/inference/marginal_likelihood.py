@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Form
+from calib.gap.effects import Form
 from calib.gap.inference.scalar_products import FormPriors, Sums
 from calib.types import BoolArray, FloatArray, IntArray
 

@@ -8,7 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects import Effect, Form
+from calib.gap.inference import REPORTED_GAP_PROBABILITY
 from calib.gap.inference.fit import Fitted, fit, linear_rest
 from calib.gap.inference.least_squares import prior_precision
 from calib.gap.inference.linear_model import LinearSystem
@@ -16,7 +17,6 @@ from calib.gap.inference.local_search import MOST_EFFECTS, LocalSearch, Model, S
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
 from calib.gap.inference.scale_evidence import NOISE_WINDOW, ScaleEvidence, held_gain, scale_gains
-from calib.gap.inference.thresholds import REPORTED_GAP_PROBABILITY
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from calib.gap.inference import noise_components as components
 from calib.gap.inference import repeatability
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 from calib.gap.predict import Path
 from calib.types import FloatArray, IntArray
 

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.effects.effect import Form
+from calib.gap.effects import Form
 from calib.gap.effects.library import effect_class
 from calib.gap.inference.lack_of_fit import Blocks, LackOfFit
 from calib.types import BoolArray, FloatArray, IntArray

@@ -14,8 +14,8 @@ from calib.gap.effects.columns import covariate_columns
 from calib.gap.effects.quantities import driven_speed_mps
 from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
 from calib.gap.inference.noise import Noise
-from calib.gap.localise.along_run import BOOTSTRAP_DRAWS, FALSE_FINDING_PROBABILITY, PlaceResult, find_places
-from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
+from calib.gap.localise import BOOTSTRAP_DRAWS, FALSE_FINDING_PROBABILITY, PlaceResult, find_places
+from calib.gap.observations import N_CHANNELS, Channel, Observations
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 

@@ -10,8 +10,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import looks_ahead
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_by_counts, were_guided
-from calib.gap.observations import routes
-from calib.gap.observations.arrays import N_CHANNELS, STRAIGHT_RAD, Channel, Observations
+from calib.gap.observations import N_CHANNELS, STRAIGHT_RAD, Channel, Observations, routes
 from calib.gap.observations.observation import Observation, Setup, let_go, step_array
 from calib.gap.observations.routes import WheelTravel, replicates, weave_of_log
 from calib.types import GRAVITY_MPS2, BoolArray, FloatArray, IntArray, StrArray

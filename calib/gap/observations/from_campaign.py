@@ -13,8 +13,7 @@ from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference
 from calib.campaign.wheels import SLOWEST_RADPS, odometry_source, on_one_axle, without_rear_wheels
 from calib.errors import BadInputError, RefusedError
-from calib.gap.observations import observation
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations, observation
 from calib.gap.observations.assemble import assemble, filled_loads
 from calib.gap.observations.observation import (
     CourseOverGround,
@@ -165,8 +164,10 @@ def check_distances(campaign: Campaign, observations: Observations) -> None:
     took_s = observations.duration_s[observations.from_log[observations.unit]].sum()
     way_m = 0.5 * (np.abs(observations.travel_left_m).sum() + np.abs(observations.travel_right_m).sum())
     if took_s * SLOWEST_RADPS * campaign.vehicle.wheel_radius_m > way_m:
-        found = f"found {took_s:.3g} s for {way_m:.3g} m; expected seconds (are they ms, us or ns?)"
-        raise BadInputError(f"{campaign.name}: column t_s: {found}; convert them, then diagnose again")
+        raise BadInputError(
+            f"{campaign.name}: columns t_s, counts: found {took_s:.3g} s for {way_m:.3g} m; expected seconds (are they "
+            "ms, us or ns?) and counts (are they radians, metres or increments?); convert them, then diagnose again"
+        )
 
 
 def with_known_loads(campaign: Campaign) -> tuple[Campaign, str]:

@@ -15,13 +15,12 @@ from calib.campaign.settings_file import load_toml, parse_settings
 from calib.campaign.wheels import odometry_source
 from calib.coefficients.sections import first_fault
 from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyond
-from calib.gap.effects.effect import Effect
+from calib.gap.effects import Effect
 from calib.gap.effects.quantities import driven_speed_mps
 from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan import planned_runs
-from calib.gap.plan.identifiability import ENOUGH_SD, Apart, Signatures, Task, noise_at, tied, untied
+from calib.gap.plan import ENOUGH_SD, Apart, Signatures, Task, noise_at, planned_runs, tied, untied
 from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Dimensions, Measured, PlannedRun, drive, joined, route_of
 from calib.gap.predict import Path, predict
 from calib.odometry.routes import Route

@@ -16,23 +16,23 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
+from calib.gap.decision import most_square
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.fix import PLAN
 from calib.gap.decision.kind import NO_GAP_SHOWN
 from calib.gap.decision.sentences import joined
-from calib.gap.decision.trials import most_square
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects import simulator
-from calib.gap.effects.effect import Effect, Form
+from calib.gap.effects import Effect, Form, simulator
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.effects.library import check_excluded, library
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, in_end_frame
 from calib.gap.effects.steering import SteeringScale, SteeringZero
+from calib.gap.inference import LOG_EVIDENCE_WINDOW
 from calib.gap.inference.fit import signature_columns, whitened_rows
-from calib.gap.inference.thresholds import LOG_EVIDENCE_WINDOW
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
+from calib.gap.simulator import COLUMNS, Declared, SimulatorSettings, run_cache, written_wrong
 from calib.gap.simulator.fix import (
     SimulatorFix,
     fixed,
@@ -45,7 +45,6 @@ from calib.gap.simulator.fix import (
     without_parameter,
 )
 from calib.gap.simulator.runner import Differences, SimulatorRunner, difference, differences_of
-from calib.gap.simulator.settings import COLUMNS, Declared, SimulatorSettings, run_cache, written_wrong
 from calib.types import FloatArray, Progress, silent
 
 #: most of a calibration effect that the simulator's parameters may miss and still replace it

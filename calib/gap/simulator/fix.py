@@ -7,21 +7,21 @@ from typing import Final
 import numpy as np
 
 from calib.errors import RefusedError
+from calib.gap.decision import Trial, trials
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.fix import harm
 from calib.gap.decision.held_out import Closure, closure_of
 from calib.gap.decision.kind import NO_GAP_SHOWN, with_left
 from calib.gap.decision.sentences import joined, sentence
-from calib.gap.decision.trials import Trial, trials
-from calib.gap.effects.effect import Form
+from calib.gap.effects import Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
+from calib.gap.inference import ADEQUATE_CLOSURE
 from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
-from calib.gap.inference.thresholds import ADEQUATE_CLOSURE
 from calib.gap.predict import Path, residuals
+from calib.gap.simulator import Declared
 from calib.gap.simulator.runner import Differences, Job, averaged, difference
-from calib.gap.simulator.settings import Declared
 from calib.types import FloatArray, IntArray, few_digits
 
 #: most runs with a fix, a secant step each

@@ -19,10 +19,10 @@ import numpy as np
 
 from calib.errors import BadInputError
 from calib.gap.effects.simulator import SimulatorParameter, WheelMotion, as_simulated
-from calib.gap.observations.arrays import N_CHANNELS, Channel, Observations
+from calib.gap.observations import N_CHANNELS, Channel, Observations
 from calib.gap.predict import Path as DrivenPath
 from calib.gap.predict import predict
-from calib.gap.simulator.settings import PLACES, BadTableError, Declared, RunCache, SimulatorSettings, read_table
+from calib.gap.simulator import PLACES, BadTableError, Declared, RunCache, SimulatorSettings, read_table
 from calib.types import FloatArray, Progress
 
 #: bytes of output kept for an error

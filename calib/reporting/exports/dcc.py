@@ -24,7 +24,7 @@ from calib.errors import BadInputError, RefusedError
 from calib.radius.law import COVERAGE
 from calib.radius.regression import WheelFit
 from calib.radius.result import Fit
-from calib.reporting.blocks import paragraph
+from calib.reporting import paragraph
 from calib.reporting.source import Source, opened, source_of
 from calib.types import Progress
 

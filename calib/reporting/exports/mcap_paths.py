@@ -13,7 +13,7 @@ from calib.campaign.model import Campaign
 from calib.coefficients.formats import Artifact
 from calib.errors import MissingExtraError
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 from calib.gap.observations.from_campaign import measured_poses
 from calib.gap.observations.observation import relative_pose
 from calib.gap.predict import Path as PredictedPath

@@ -18,10 +18,10 @@ from calib.coefficients.formats import Artifact, ascii_line, number
 from calib.documents import templates_of
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 from calib.gap.predict import Path as PredictedPath
 from calib.odometry.poses import wrapped
-from calib.reporting.blocks import paragraph
+from calib.reporting import paragraph
 from calib.reporting.exports import diagnosed
 from calib.types import BoolArray, FloatArray, Progress, StrArray
 

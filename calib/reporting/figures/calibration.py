@@ -14,12 +14,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
+from calib.radius import Groups
 from calib.radius.effective import Component, EffectiveRadii
 from calib.radius.path_length import whole_period_excess
 from calib.radius.regression import WheelFit
-from calib.radius.sessions import Groups
-from calib.reporting.figures import style
-from calib.reporting.figures.style import BLUE, GREY, INK, LEGEND_LIMIT, MANY, ORANGE, canvas, styled
+from calib.reporting import figures as style
+from calib.reporting.figures import BLUE, GREY, INK, LEGEND_LIMIT, MANY, ORANGE, canvas, styled
 from calib.types import FloatArray, StrArray, evenly
 
 if TYPE_CHECKING:

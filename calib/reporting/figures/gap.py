@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.effects.library import UNCHANGED, EffectSignature
-from calib.gap.observations.arrays import Channel
-from calib.gap.plan.identifiability import Outlook
+from calib.gap.observations import Channel
+from calib.gap.plan import Outlook
 from calib.gap.predict import Path
-from calib.radius.sessions import Groups
-from calib.reporting.figures import style
-from calib.reporting.figures.style import GREY, INK, colour, group_legend, legible, panels, round_down, styled
+from calib.radius import Groups
+from calib.reporting import figures as style
+from calib.reporting.figures import GREY, INK, colour, group_legend, legible, panels, round_down, styled
 from calib.reporting.formatting import readable, with_unit
 from calib.types import FloatArray, StrArray
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from calib.documents import Result
 from calib.errors import BadInputError
-from calib.reporting.blocks import Block, Drawings, Section, drawn, named
+from calib.reporting import Block, Drawings, Section, drawn, named
 from calib.reporting.formatting import to_text
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def _diagnosis(diagnosis: "Diagnosis") -> Drawings:
 
 
 def _plan(plan: "Plan") -> Drawings:
-    from calib.gap.plan.identifiability import outlook_of
+    from calib.gap.plan import outlook_of
 
     return {"matrix": lambda: drawn("gap.plan_matrix", outlook_of(plan.campaign))}
 
@@ -74,7 +74,7 @@ def _simulation(simulation: "Simulation") -> Drawings:
     from calib.odometry.simulation import SHOWN
 
     return {
-        name: partial(drawn, "motion.sweep_figure", sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
+        name: partial(drawn, "studies.sweep_figure", sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
         for name, sweep in simulation.sweeps.items()
     }
 
@@ -84,7 +84,7 @@ def _geometry(geometry: "Geometry") -> Drawings:
 
 
 def _replay(replay: "Replay") -> Drawings:
-    return {"end_errors": partial(drawn, "motion.replay_figure", replay)}
+    return {"end_errors": partial(drawn, "studies.replay_figure", replay)}
 
 
 #: class of a result -> ``module.function`` of this folder: what its command prints, and what interpreter and notebook

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from calib import reporting
 from calib.campaign.checks.design import listed
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.gap.effects.library import LIBRARY, UNCHANGED, Entry
 from calib.gap.effects.reference import RangefinderScale, ReferenceScale
-from calib.gap.observations.arrays import Channel
-from calib.gap.plan.identifiability import Outlook
-from calib.reporting import blocks
-from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, caption, items, picture, table
+from calib.gap.observations import Channel
+from calib.gap.plan import Outlook
+from calib.reporting import Block, Notice, Picture, Section, Table, Text, caption, items, picture, table
 from calib.reporting.formatting import MISSING, fixed, length, plural, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
 from calib.reporting.topics import gap as findings
@@ -42,8 +42,7 @@ IMPROBABLE_GAP: Final = ("note", "Probably no gap")
 def verdict_notice(verdict: Diagnosis) -> Notice:
     """Return the verdict with its sentence."""
     level, title = IMPROBABLE_GAP if verdict.is_improbable else TITLES[verdict.kind]
-    text = prose(verdict.sentence.removeprefix(title).lstrip(": "))
-    return Notice(level, with_kind(title, verdict.kind), text)
+    return Notice(level, with_kind(title, verdict.kind), prose(verdict.sentence.removeprefix(title).lstrip(": ")))
 
 
 def with_kind(title: str, kind: VerdictKind, *more: str) -> str:
@@ -61,8 +60,8 @@ def page_one_notice(verdict: Diagnosis) -> Notice:
 
 def diagnosis_full(verdict: Diagnosis) -> tuple[Block, ...]:
     """Return what the terminal prints of a diagnosis."""
-    mark = (blocks.simulated_notice(),) if verdict.simulated else ()
-    return (blocks.Heading(verdict.campaign), *mark, *diagnosis_content(verdict))
+    mark = (reporting.simulated_notice(),) if verdict.simulated else ()
+    return (reporting.Heading(verdict.campaign), *mark, *diagnosis_content(verdict))
 
 
 def diagnosis_content(verdict: Diagnosis, gap: "GapArrays | None" = None) -> tuple[Block, ...]:
@@ -70,7 +69,7 @@ def diagnosis_content(verdict: Diagnosis, gap: "GapArrays | None" = None) -> tup
     next_runs = (next_runs_table([run.to_dict() for run in verdict.next_runs]),) if verdict.next_runs else ()
     return (
         verdict_notice(verdict),
-        Text(blocks.paragraph("noise_level"), small=True),
+        Text(reporting.paragraph("noise_level"), small=True),
         *(map_picture(gap) if gap else ()),
         *findings.where_blocks(verdict.where),
         *(covariate_picture(gap, verdict) if gap else ()),
@@ -127,7 +126,7 @@ def covariate_picture(gap: "GapArrays", verdict: Diagnosis) -> list[Picture]:
     aside = f" Not drawn, since they vary alike: {'; '.join(alike)}." if alike else ""
     alt = f"Gap of the channel {title} against {', '.join(effect_name(name) for name, _ in shown)}"
     gaps = (gap.before[:, worst], title, unit, varied)
-    draw = partial(blocks.drawn, "gap.gap_by_covariate", *gaps, noise_level=levels[worst], group=gap.labels["kind"])
+    draw = partial(reporting.drawn, "gap.gap_by_covariate", *gaps, noise_level=levels[worst], group=gap.labels["kind"])
     return [Picture("gap-by-covariate", caption("gap-by-covariate", title=title, aside=aside), alt, draw)]
 
 
@@ -164,7 +163,7 @@ def plan_content(plan: Plan) -> tuple[Block, ...]:
 def runs_and_promises(plan: Plan) -> tuple[Block, ...]:
     """Return the runs to drive next, and the intervals they promise."""
     promises = [promise_table(plan.now, plan.then)] if plan.then else []
-    mark = (blocks.simulated_notice(),) if plan.campaign.simulated else ()
+    mark = (reporting.simulated_notice(),) if plan.campaign.simulated else ()
     return (*mark, next_runs_table([run.to_dict() for run in plan.runs]), *promises)
 
 
@@ -259,9 +258,9 @@ def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
         "Beyond plausible, suspect": effect.implausible,
         "Shifts": ", ".join(effect.shifts),
     }
-    known = blocks.Facts(tuple((name, value) for name, value in facts.items() if value))
+    known = reporting.Facts(tuple((name, value) for name, value in facts.items() if value))
     doc = (type(effect).__doc__ or "").strip().split("\n\n")[0]
-    content: list[Block] = [blocks.Heading(f"{effect.id}: {effect.title}"), Text(" ".join(doc.split())), known]
+    content: list[Block] = [reporting.Heading(f"{effect.id}: {effect.title}"), Text(" ".join(doc.split())), known]
     if entry.signature is None:
         return (*content, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
     form = entry.signature.form
@@ -330,7 +329,7 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
         kind = "simulator" if diagnosis.fix.parameters else "simulator group" if tied else "simulator lacks"
     wrong = diagnosis.correct_first or any(cause.signal == float("inf") for cause in diagnosis.causes)
     step = f"diagnose {'wrong' if wrong else kind}"
-    if step in blocks.catalogue()["next"]:
+    if step in reporting.catalogue()["next"]:
         return step
     return without_runs(diagnosis) if diagnosis.groups and not (diagnosis.next_runs or simulator) else "diagnose"
 
@@ -338,5 +337,4 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
 def without_runs(diagnosis: Diagnosis) -> str:
     """Return the step where no run tells the causes apart: of two instruments a third length tells which is wrong."""
     instruments = {RangefinderScale.id, ReferenceScale.id}
-    both = any(instruments.issubset(group) for group in diagnosis.groups)
-    return "plan instruments" if both else "plan nothing"
+    return "plan instruments" if any(instruments.issubset(group) for group in diagnosis.groups) else "plan nothing"

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from calib import reporting
 from calib.campaign.checks.design import SIDES, WEIGHTY, listed
 from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check, WheelFit, t_quantile
 from calib.radius.result import Difference, Fit, ModelComparison
-from calib.reporting import blocks, formatting
-from calib.reporting.blocks import Block, Notice, Picture, Section, Table, Text, caption, drawn, items, picture, table
+from calib.reporting import Block, Notice, Picture, Section, Table, Text, caption, formatting, items, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
 from calib.types import FloatArray, grouped
 
@@ -26,8 +26,8 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
     """Return what a fit says; with `runs` the radius of every run, too."""
     sessions = len(set(fit.radii.session.tolist()))
     return (
-        blocks.Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}"),
-        *([blocks.simulated_notice()] if fit.simulated else []),
+        reporting.Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}"),
+        *([reporting.simulated_notice()] if fit.simulated else []),
         law_table(fit),
         single_run_text(fit),
         Text(" ".join(map(quality_text, fit.wheels.values()))),
@@ -66,7 +66,7 @@ def result_section(source: "Source") -> Section:
     laws = [wheel.law for wheel in fit.wheels.values()]
     ranges = [span(one.load_min_N, one.load_max_N, "N", ".0f") for one in laws]
     loads = ranges[0] if ranges[0] == ranges[1] else f"{ranges[0]} (left wheel) and {ranges[1]} (right wheel)"
-    holds = Text(blocks.paragraph("law_holds", loads=loads, runs=len(fit.radii)))
+    holds = Text(reporting.paragraph("law_holds", loads=loads, runs=len(fit.radii)))
     assumed = assumed_notice(source.setup.assumed)
     return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *assumed, *_gap(source)))
 
@@ -181,8 +181,8 @@ def decision_section(source: "Source") -> Section:
     false_alarm = 100 * (1 - (1 - NOTE_BELOW) ** tests)
     values = {"note": NOTE_BELOW, "fail": FAIL_BELOW, "false_alarm": false_alarm, "failures": 100 * tests * FAIL_BELOW}
     rules = ("remark", "failure", "chance", "rounding")
-    listed = blocks.Items(tuple(blocks.paragraph(f"decision_{rule}", tests=tests, **values) for rule in rules))
-    return Section("Decision rule", (listed, Text(blocks.paragraph("decision_conformity"))))
+    listed = reporting.Items(tuple(reporting.paragraph(f"decision_{rule}", tests=tests, **values) for rule in rules))
+    return Section("Decision rule", (listed, Text(reporting.paragraph("decision_conformity"))))
 
 
 def residuals_picture(fit: Fit) -> Picture:
@@ -190,7 +190,7 @@ def residuals_picture(fit: Fit) -> Picture:
     sizes = {name: 1e6 * float(abs(wheel.residual_m).max()) for name, wheel in fit.wheels.items()}
     alt = "Residuals of both wheels: " + "; ".join(f"{name} wheel within {um:.0f} µm" for name, um in sizes.items())
     colours = "; colours are sessions as above" if len(set(fit.radii.session.tolist())) > 1 else ""
-    draw = partial(drawn, "calibration.residuals", fit.left, fit.right, fit.radii.session)
+    draw = partial(reporting.drawn, "calibration.residuals", fit.left, fit.right, fit.radii.session)
     return Picture("residuals", caption("residuals", colours=colours), alt, draw)
 
 

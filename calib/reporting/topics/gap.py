@@ -7,11 +7,10 @@ from typing import Final
 from calib.gap.decision.diagnosis import Diagnosis, Quantity
 from calib.gap.decision.held_out import RERUN, Closure
 from calib.gap.decision.sentences import advice, headline
-from calib.gap.localise.along_run import PlaceResult
+from calib.gap.localise import PlaceResult
 from calib.gap.localise.locate import GapLocation, RunDeviation
-from calib.gap.observations.arrays import POSE
-from calib.reporting import formatting
-from calib.reporting.blocks import Block, Table, Text, caption, items, paragraph, table
+from calib.gap.observations import POSE
+from calib.reporting import Block, Table, Text, caption, formatting, items, paragraph, table
 from calib.reporting.formatting import MISSING, fixed, length, percent, probability, prose, readable, three_digits
 from calib.types import grouped
 
@@ -83,12 +82,11 @@ def closure_blocks(verdict: Diagnosis) -> list[Block]:
         apart = f"{length(fix.agreement_m)} at the end of the {fix.agreement_on}"
         sentences.append(f"The corrections of the confounded causes differ by at most {apart}.")
     none = "No named cause" if verdict.causes else "No effect of the library"
-    left = [Text(f"{none} explains {percent(unexplained.share)} of the gap.")] if unexplained else []
     return [
         *([_by_channel(verdict)] if verdict.causes and verdict.closure.channels else ()),
         *map(Text, filter(None, sentences)),
         *([_transfer(verdict)] if fix.transfer else ()),
-        *left,
+        *([Text(f"{none} explains {percent(unexplained.share)} of the gap.")] if unexplained else []),
         *(items(map(prose, unexplained.where)) if unexplained else ()),
     ]
 

@@ -1,20 +1,22 @@
-"""Geometry: parameters, identifiability, residuals by route."""
+"""Geometry: parameters, identifiability, residuals by route; and a fleet's results."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from calib.fleet.comparison import shown_quantity
+from calib import reporting
+from calib.campaign.checks.design import listed
+from calib.fleet import Population, Quantities, shown_quantity
+from calib.fleet.run import Fleet, Survey
 from calib.kinematics.adequacy import LACK_OF_FIT, USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
-from calib.reporting import blocks
-from calib.reporting.blocks import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
-from calib.reporting.formatting import capital, places, plural, prose
-from calib.types import few_digits
+from calib.reporting import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
+from calib.reporting.formatting import MISSING, capital, places, plural, prose
+from calib.types import few_digits, grouped
 
 _ROUTE: Final = (
     "<route", "n", "before | position (mm)", "before | heading (mrad)", "after | position (mm)",
@@ -47,8 +49,7 @@ def route_tables(geometry: Geometry) -> tuple[Table, ...]:
         for row in geometry.transfer
     ]
     heads = ("<held out", "n", "before (mm)", "after (mm)")
-    held_out = table("End position error of held-out runs.", heads, rows, dense=True)
-    return (routes, held_out) if rows else (routes,)
+    return (routes, table("End position error of held-out runs.", heads, rows, dense=True)) if rows else (routes,)
 
 
 def _heading(geometry: Geometry) -> str:
@@ -118,8 +119,7 @@ def _cells(estimate: Estimate, *, held: bool = False) -> tuple[str, ...]:
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:
     sizes = [(math.hypot(along, across), turn) for along, across, turn in (route.before_rms, route.after_rms)]
     errors = [f"{1e3 * size:.1f}" for pair in sizes for size in pair]
-    means = (f"{1e3 * mean:+z.1f}" for mean in route.after_mean)
-    return (route.kind or "(none)", str(route.n), *errors, *means)
+    return (route.kind or "(none)", str(route.n), *errors, *(f"{1e3 * mean:+z.1f}" for mean in route.after_mean))
 
 
 def geometry_brief(geometry: Geometry) -> tuple[Block, ...]:
@@ -176,8 +176,8 @@ def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
     followed, ends = (any((len(trace.seen) > 1) is along for trace in measured) for along in (True, False))
     calibrated = ["coloured"] * followed + ["in blue, its end coloured"] * ends
     reference = ["by the reference, dotted"] * followed + ["the ends by the reference, as dots"] * ends
-    words = blocks.caption("geometry-paths", calibrated=" or ".join(calibrated), measured=" or ".join(reference))
-    return [Picture("geometry-paths", words, alt, partial(blocks.drawn, "calibration.draw_paths", measured))]
+    words = reporting.caption("geometry-paths", calibrated=" or ".join(calibrated), measured=" or ".join(reference))
+    return [Picture("geometry-paths", words, alt, partial(reporting.drawn, "calibration.draw_paths", measured))]
 
 
 def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
@@ -205,3 +205,97 @@ def after_geometry(geometry: Geometry, output: Path | None) -> str:
     if not geometry.passed:
         return "geometry failed"
     return "geometry --output" if output is not None else "geometry idle" if _idle(geometry) else "geometry"
+
+
+#: rows of a list at most; the tables have them all
+MAX_ROWS = 40
+_COMMON: Final = "Common to many vehicles"
+
+
+def fleet_content(fleet: Fleet | Survey, *, page: bool = False) -> tuple[Block, ...]:
+    """Return what a task over a fleet says.
+
+    For a page with pictures, and without what was done now: interruptions change nothing.
+    """
+    mark = (reporting.simulated_notice(),) if fleet.simulated and not page else ()
+    return (*mark, *(_of_survey(fleet, page=page) if isinstance(fleet, Survey) else _of_fit(fleet, page=page)))
+
+
+def _of_fit(fleet: Fleet, *, page: bool) -> tuple[Block, ...]:
+    view = fleet.view
+    facts = (("vehicles", f"{view.n_fitted} of {view.n_vehicles} fitted, {view.n_failed} failed"),)
+    read = (("files", f"{fleet.n_read} read now, {fleet.n_kept} kept from before"),)
+    doubtful = [f"{one.vehicle}: {'; '.join(one.doubtful)}" for one in fleet.records if one.doubtful]
+    return (
+        reporting.Heading("Fleet"),
+        Facts(facts if page else facts + read),
+        *_populations(view.populations),
+        *(_pictures(fleet) if page else ()),
+        *_counted("Outlying vehicles", [f"{outlier.vehicle}, {outlier.why}" for outlier in view.outliers]),
+        *([_drifting(fleet)] if view.drifting else ()),
+        *_counted(_COMMON, [cause.sentence for cause in view.common]),
+        *_counted("Doubtful laws, by checks that 'calib fit' of the vehicle explains", doubtful),
+        *_counted("Failed", [f"{one.vehicle}: {one.why}" for one in fleet.records if one.status == "failed"]),
+        Text(paragraph("fleet_rates"), small=True),
+    )
+
+
+def _counted(title: str, lines: Sequence[str]) -> list[Block]:
+    return [reporting.Heading(f"{title} ({len(lines)})"), reporting.Items(tuple(lines[:MAX_ROWS]))] if lines else []
+
+
+def _populations(populations: Mapping[str, Population]) -> list[Table]:
+    rows = []
+    for name, population in populations.items():
+        shown, scale, unit = shown_quantity(name)
+        half = 0.5 * (population.mean_ci95[1] - population.mean_ci95[0])
+        numbers = (population.mean, half, population.spread, *population.spread_ci95, population.within)
+        mean, plus, spread, low, high, within = (f"{scale * number:.4f}" for number in numbers)
+        rows.append((shown, f"{mean} ± {plus}", spread, f"{low} to {high}", within, unit))
+    heads = ("<quantity", "mean", "between", "95 %", "within", "<unit")
+    return [table("The fleet; ± is the 95 % interval", heads, rows)] if rows else []
+
+
+def _drifting(fleet: Fleet) -> Table:
+    title = f"Vehicles that drift ({len(fleet.view.drifting)}), soonest due first; ± is the 95 % interval"
+    rows = [
+        (one.vehicle, one.wheel, f"{1e9 * one.per_day_m:+.0f} ± {1e9 * one.half_width_m:.0f}", f"{one.due_day:.0f}")
+        for one in fleet.view.drifting[:MAX_ROWS]
+    ]
+    return table(title, ("<vehicle", "<wheel", "drift (nm a day)", "due on day"), rows)
+
+
+def _pictures(fleet: Fleet) -> list[Picture]:
+    from calib.reporting.figures.studies import fleet_figures
+
+    figures, shown = fleet_figures(fleet).items(), reporting.catalogue()["fleet"]
+    return [Picture(f"fleet-{name}", reporting.caption(f"fleet-{name}"), shown[name], draw) for name, draw in figures]
+
+
+def _of_survey(survey: Survey, *, page: bool) -> tuple[Block, ...]:
+    failed = [f"{record.name}: {record.why}" for record in survey.records if record.status == "failed"]
+    done = len(survey.records) - len(failed)
+    facts = (("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed"),)
+    now = (("now", f"{survey.n_done} done now, {survey.n_kept} kept from before"),)
+    found = survey.quantities or Quantities({}, (), ())
+    shared = [*(cause.sentence for cause in survey.shared), *(one.sentence for one in found.common)]
+    return (
+        reporting.Heading(f"Fleet: {survey.what}"),
+        Facts(facts if page else facts + now),
+        *([_verdicts(survey)] if done else ()),
+        *_populations(found.populations),
+        *_counted("Outlying vehicles", [f"{one.vehicle}, {one.why}" for one in found.outliers]),
+        *_counted(_COMMON, shared),
+        *_counted("Failed", failed),
+    )
+
+
+def _verdicts(survey: Survey) -> Table:
+    found = []
+    for name, values in ((one.name, one.values) for one in survey.records if one.status != "failed"):
+        what = [cause["effect"] for cause in values.get("causes", ())]
+        what += [*values.get("wrong", ()), *values.get("suspicious", ())]
+        found.append(((values.get("verdict", MISSING), ", ".join(what) or MISSING), name))
+    alike = sorted(grouped(found).items(), key=lambda one: -len(one[1]))[:MAX_ROWS]
+    rows = [(*words, str(len(names)), listed(names)) for words, names in alike]
+    return table("Verdicts", ("<Verdict", "*Found", "Vehicles", "*Which"), rows)

@@ -6,13 +6,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib import __version__
+from calib import __version__, reporting
 from calib.campaign.checks.design import SIDES
 from calib.radius.law import round_loads
 from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
-from calib.reporting import blocks
-from calib.reporting.blocks import Equation, Facts, Section, Text, caption, catalogue, items, paragraph, table
+from calib.reporting import Equation, Facts, Section, Text, caption, catalogue, items, paragraph, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
 from calib.reporting.source import OPTIONAL, STATED, Source
 from calib.reporting.topics import fit as results
@@ -147,7 +146,7 @@ def limits_section(source: Source) -> Section:
         halls = f" than {span(*conditions['temperature_C'], '°C', '.1f')}"
     lines += [paragraph("limits_speeds", speeds=speeds), paragraph("limits_halls", halls=halls)]
     closing = Text(paragraph("limits_closing"))
-    return Section("What this report does not cover", (blocks.Items((*lines, paragraph("limits_track"))), closing))
+    return Section("What this report does not cover", (reporting.Items((*lines, paragraph("limits_track"))), closing))
 
 
 #: beyond this many files their logs are given as one hash
@@ -207,7 +206,7 @@ def coefficients_section(source: Source) -> Section:
             numbers = (*measured(value, std), fixed(dof, 1), fixed(k, 2), two_digits(k * std))
             rows.append(("" if number else wheel.wheel, title, unit, *numbers))
     heads = ("<Wheel", "<Quantity", "<Unit", "Value", "u", "ν", "k", "U")
-    content: list[blocks.Block] = [table(caption("table-coefficients"), heads, aligned(rows, 3, 4, 7))]
+    content: list[reporting.Block] = [table(caption("table-coefficients"), heads, aligned(rows, 3, 4, 7))]
     if any(wheel.model == "line" for wheel in fit.wheels.values()):
         text = "The standard uncertainty of the radius at a load F follows from both and their covariance,"
         content += [Text(text), Equation("law_uncertainty")]
@@ -230,7 +229,7 @@ def _correlation(wheel: WheelFit) -> str:
     return f"{wheel.wheel.capitalize()} wheel: correlation of radius and slope {correlation}, measured at {valid}."
 
 
-def law_budget(fit: Fit) -> blocks.Table:
+def law_budget(fit: Fit) -> reporting.Table:
     """Return what scatter and systematic sources contribute to the coefficients."""
     systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
     rows = []

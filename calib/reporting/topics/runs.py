@@ -6,14 +6,14 @@ from typing import Final
 
 import numpy as np
 
+from calib import reporting
 from calib.campaign.check import CheckReport
 from calib.campaign.checks.design import SIDES, listed
 from calib.campaign.model import Note
 from calib.campaign.settings import WHEEL_LOADS
 from calib.radius.deviation import RunDeviations, allowed_amplitude_m, radius_error
 from calib.radius.result import Fit
-from calib.reporting import blocks
-from calib.reporting.blocks import Block, Notice, Section, Table, Text, caption, catalogue, items, paragraph, table
+from calib.reporting import Block, Notice, Section, Table, Text, caption, catalogue, items, paragraph, table
 from calib.reporting.formatting import MISSING, fixed, plural, prose, span
 from calib.reporting.source import Source
 from calib.reporting.topics import fit as results
@@ -96,12 +96,12 @@ MAX_SIMILAR: Final = 8
 def check_content(report: CheckReport) -> tuple[Block, ...]:
     """Return the findings of a check, and its verdict."""
     content: list[Block] = [
-        blocks.Heading(f"{report.campaign}{' (simulated)' if report.simulated else ''}"),
-        blocks.Facts(tuple(_facts(report))),
+        reporting.Heading(f"{report.campaign}{' (simulated)' if report.simulated else ''}"),
+        reporting.Facts(tuple(_facts(report))),
     ]
     for title, notes in (("Recognised", report.info), ("Suspicious", report.suspicious), ("Wrong", report.wrong)):
         if notes:
-            content += [blocks.Heading(f"{title} ({len(notes)})"), *items(_grouped(notes))]
+            content += [reporting.Heading(f"{title} ({len(notes)})"), *items(_grouped(notes))]
     return (*content, _verdict(report))
 
 

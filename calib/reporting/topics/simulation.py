@@ -1,4 +1,4 @@
-"""Simulations of Section 7, replays of logged runs, and wheel loads: what is said of them, and their files."""
+"""Simulations of Section 7, replays, wheel loads: what is said of them, and their files; scores of a blind check."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -13,19 +13,22 @@ from calib.coefficients.file import CoefficientFile, believed_model
 from calib.documents import csv_text, plain
 from calib.gap.decision.sentences import SMALLER
 from calib.io import refuse_existing, write_json, write_text
-from calib.odometry.integrate import integrate
+from calib.odometry import integrate
 from calib.odometry.law_path import LawPath
 from calib.odometry.poses import Poses, write_tum
 from calib.odometry.replay import Replay, carried_loads_N, stood_in
 from calib.odometry.routes import radii_under_load, travel_from_counts
 from calib.odometry.simulation import SHOWN, LawPart, Simulation, Sweep, paper_headline
-from calib.reporting.blocks import Block, Table, Text, caption, catalogue, paragraph, table
-from calib.reporting.formatting import fixed, measured
+from calib.reporting import Block, Items, Table, Text, caption, catalogue, paragraph, simulated_notice, table
+from calib.reporting.formatting import MISSING, fixed, measured
 from calib.types import FloatArray
 from calib.vehicle import LoadSweep, Vehicle, WeighedPayload
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from calib.challenge.own_runs import Own
+    from calib.challenge.score import Score
 
 #: component of the error -> factor for reading
 _FACTORS: Final = {"along_m": 1.0, "lateral_m": 1.0, "heading_rad": 1e3, "global_x_m": 1.0, "global_y_m": 1.0}
@@ -151,8 +154,7 @@ def replay_content(replay: Replay) -> tuple[Block, ...]:
     errors = table(title, ("<Radii", "rms (m)", "rms heading (mrad)"), rows)
     left_out = [Text(f"{count} runs not used: {reason}.") for reason, count in replay.left_out.items() if count]
     if replay.by_geometry:
-        runtime = Text("The vehicle's runtime reads two wheels on one axle; so it was not checked.")
-        return (errors, runtime, *left_out)
+        return (errors, Text("The vehicle's runtime reads two wheels on one axle; so it was not checked."), *left_out)
     low, high = replay.ratio_ci95
     check = replay.runtime
     law = times(replay.rms_m["model"] / replay.rms_m["corrected"])
@@ -196,22 +198,21 @@ def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> li
 
     Raises BadInputError where a file exists and `force` is False; nothing is then written.
     """
-    from calib.reporting.figures import motion
-    from calib.reporting.figures.style import write_figures
+    from calib.reporting.figures import studies, write_figures
 
     figures: dict[str, Figure] = {}
     tables: dict[str, Sequence[Mapping[str, Any]]] = {}
     for name, sweep in _sweeps(simulation):
-        figures[name] = motion.sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
-        figures[f"{name}_errors"] = motion.sweep_errors_figure(sweep, title=simulation.title)
+        figures[name] = studies.sweep_figure(sweep, error=SHOWN.get(name, "lateral_m"), title=simulation.title)
+        figures[f"{name}_errors"] = studies.sweep_errors_figure(sweep, title=simulation.title)
         tables |= {name: sweep.ends(), f"{name}_errors": sweep.along()}
     if simulation.law is not None:
         rows, path = simulation.law.table, simulation.law.path
         title = f"Under the fitted law, {path.loading_text}: law, track, ground and encoders"
         figures |= {
-            "fig15": motion.ratio_figure(rows, simulation.law.law.left, simulation.law.law.right),
-            "band": motion.law_path_figure(path, title=title),
-            "errors": motion.law_errors_figure(path, title=title),
+            "fig15": studies.ratio_figure(rows, simulation.law.law.left, simulation.law.law.right),
+            "band": studies.law_path_figure(path, title=title),
+            "errors": studies.law_errors_figure(path, title=title),
         }
         tables |= {"table1": plain(rows), "band": path.covariance_rows(), "errors": path.error_rows()}
     document = folder / f"{simulation.study}.json"
@@ -244,10 +245,9 @@ def simulation_trajectories(simulation: Simulation, folder: Path, *, speed_mps: 
 
 def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, force: bool) -> list[Path]:
     """Write the figure of a replay, its table as CSV and everything as JSON."""
-    from calib.reporting.figures import motion
-    from calib.reporting.figures.style import write_figures
+    from calib.reporting.figures import studies, write_figures
 
-    written = write_figures({"replay": motion.replay_figure(replay)}, folder, force=force)
+    written = write_figures({"replay": studies.replay_figure(replay)}, folder, force=force)
     table = _csv(folder / "replay.csv", document["runs"], force=force)
     return [write_json(folder / "replay.json", document, force=force), *written, table]
 
@@ -284,3 +284,91 @@ def _driven(campaign: Campaign, log: Mapping[str, FloatArray], coefficients: Coe
 
 def _csv(path: Path, rows: Sequence[Mapping[str, Any]], *, force: bool) -> Path:
     return write_text(path, csv_text(list(rows[0]) if rows else [], (row.values() for row in rows)), force=force)
+
+
+_MET: Final = {True: "met", False: "MISSED", None: ""}
+
+
+def score_content(score: "Score") -> list[Block]:
+    """Return what a score says."""
+    summary = score.summary
+    coverage = summary["interval_coverage"]
+    sentences = [
+        f"95 % set: {summary['median_set_size']} hypotheses (median)",
+        f"95 % intervals that hold the truth: {coverage['hits']} of {coverage['total']}",
+    ]
+    if summary["closure_compared"]:
+        difference = summary["closure_predicted_minus_achieved_median"]
+        sentences.append(f"closure, predicted against achieved: {difference:.3f} apart (median)")
+    if summary["crowded_stated_minus_true"] is not None:
+        sentences.append(
+            "crowded cases: stated probabilities less the share that is true: "
+            f"{summary['crowded_stated_minus_true']:+.3f} (wanted within 0.05)"
+        )
+    return [_board(score), *_parts(score), Items(tuple(sentences)), _misses(score)]
+
+
+def _board(score: "Score") -> Table:
+    rows = []
+    for name, line in score.board.items():
+        rate = MISSING if line.rate is None else f"{line.rate:.1%}"
+        spans = [f"{low:.1%}..{high:.1%}" for low, high in (line.wilson95, line.exact95)]
+        target = "{1} {0:.0%}".format(*wanted) if (wanted := score.target(name)) else ""
+        rows.append((name, f"{line.hits}/{line.total}", rate, *spans, target, _MET[score.meets(name)]))
+    title = f"{len(score.cases)} sealed cases ({score.purpose}), truth {score.truth_sha256}"
+    heads = ("95 % interval | Wilson", "95 % interval | Clopper-Pearson")
+    return table(title, ("<Line", "Cases", "Share", *heads, "Target", "<"), rows)
+
+
+def _parts(score: "Score") -> list[Table]:
+    words = ("detected", "first", "in_group", "covered")
+    titles = ("Signal", "A gap seen", "Named first", "Named or in its group", "In the 95 % set",
+              "Ceiling", "First over ceiling", "Own ceiling", "First over own")  # fmt: skip
+    ceilings = ("gated", "hits_over_gated", "own_gated", "hits_over_own_gated")
+    by_signal = []
+    for signal, row in score.by_signal.items():
+        reached = (score.ceilings[signal][key] for key in ceilings)
+        shares = (f"{row[word].hits}/{row[word].total}" for word in words)
+        by_signal.append((signal, *shares, *(MISSING if one is None else f"{one:.2f}" for one in reached)))
+    reliability = [
+        (f"{one.low:.1f}..{one.high:.1f}", f"{one.stated:.3f}", f"{one.true.rate:.3f}", f"{one.true.total}")
+        for one in score.reliability
+    ]
+    return [
+        table("Single effects by signal.", titles, by_signal),
+        table("Stated probabilities.", ("Bin", "Stated", "True", "Statements"), reliability),
+    ]
+
+
+def _misses(score: "Score") -> Table:
+    rows = []
+    for case in score.misses:
+        signal = MISSING if case.signal is None else f"{case.signal:g}"
+        truth = f"deleted {case.deleted}" if case.deleted else " + ".join(case.truth) or "nothing"
+        answer = case.error or f"{case.verdict}: {', '.join(case.named)}".rstrip(": ")
+        rows.append((case.case, case.group, signal, truth, answer, case.rival))
+    return table("Misses.", ("<Case", "<Group", "Signal", "*Truth", "*Answer", "*Nearest alternative, sigma"), rows)
+
+
+def own_content(own: "Own") -> list[Block]:
+    """Return what was found, as blocks."""
+    head = ("*Planted", "Size", "<Unit", "Signal", "Times", "Seen")
+    rows: dict[bool, list[tuple[str, ...]]] = {False: [], True: []}
+    for plant in own.found:
+        counted = ("open", "wrong") if plant.outside else ("first", "in_group", "wrong")
+        counts = (str(len(plant.answers)), *(str(plant.times(what)) for what in ("seen", *counted)))
+        rows[plant.outside].append((plant.effect, f"{plant.size:.3g}", plant.unit, f"{plant.signal:.1f}", *counts))
+    low, high = (f"{bound:.0%}" for bound in own.alarms.exact95)
+    sentences = [
+        f"False alarms where nothing was planted: {own.alarms.hits} of {own.alarms.total} (95 %: {low} to {high}).",
+        f"Something else named: {own.wrong.hits} of {own.wrong.total} planted.",
+        paragraph("own_noise", units=own.units, repeated=own.units_with_repeats, verdict=own.own_verdict),
+    ]
+    if own.done < own.asked:
+        sentences.append(f"Diagnosed {own.done} of {own.asked}: the time was up.")
+    planted = f"Planted on {own.campaign}'s own noise and route."
+    mark = [simulated_notice()] if own.simulated else []
+    shown: list[Block] = [*mark, table(planted, (*head, "First", "In group", "Wrong"), rows[False])]
+    if rows[True]:
+        shown.append(table("Causes that no library holds.", (*head, "Left open", "Fix recommended"), rows[True]))
+    return [*shown, Items((*sentences, *(f"Not planted: {name}: {why}." for name, why in own.left_out.items())))]

@@ -108,6 +108,13 @@ def test_a_sense_or_unit_is_named_for_all_runs_or_a_session(
     assert found.text.endswith(words)
 
 
+def test_headings_beside_wheels_that_hardly_turn_are_not_called_degrees() -> None:
+    """Radians read as counts turn by a thousandth: any heading in degrees would agree with that."""
+    made = _driven()
+    counts = {name: made.runs.number(name) * 2e-3 for name in ("counts_left", "counts_right")}
+    assert list(implausible_senses(with_numbers(made, **counts))) == []
+
+
 def test_senses_that_agree_are_left_alone() -> None:
     """Headings wrapped or not, wheels of unequal radii and a wrong track."""
     made = _driven()

@@ -70,3 +70,12 @@ def test_units_and_senses(drive: str, along: bool, tmp_path: Path) -> None:
             assert words in wrong
         elif name != "counts with quadrature":
             assert (wrong, runs) == ("", {"circle_ccw_0"}), name
+
+
+def test_a_car_s_angle_counted_from_a_quarter_turn_is_named(tmp_path: Path) -> None:
+    """No car steers by more than a radian half of the time."""
+    made = plant.ackermann(np.random.default_rng(0), repeats=2)
+    for run in made.runs:
+        of_column("steer_rad", lambda angle: angle + np.pi / 2)(run)
+    wrong, _ = checked(made, tmp_path / "c", along=True)
+    assert "in half of all samples" in wrong and "is it 0 straight ahead?" in wrong

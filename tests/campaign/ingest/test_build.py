@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from calib.campaign.check import check_campaign
+from calib.campaign.ingest import expected_name
 from calib.campaign.ingest.build import ingest
-from calib.campaign.ingest.contents import expected_name
 from calib.campaign.ingest.mapping import LogSection
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError
@@ -273,6 +273,21 @@ def test_files_of_other_clocks_say_how_they_are_joined(tmp_path: Path) -> None:
         made = ingest([lab], tmp_path / into, mapping=tmp_path / "m.toml")
         assert any("lag_s = -80 in each of its lines" in note.text for note in made.notes)
         assert ("ref_x_m" in made.campaign.log("1")) == bool(lag)
+
+
+def test_a_time_zone_is_told_from_what_began_later(tmp_path: Path) -> None:
+    """A camera that began 0.1 s later on a clock two hours behind: its latency is not taken away with the zone."""
+    (lab := tmp_path / "lab").mkdir()
+    t = np.linspace(0.0, 10.0, 101)
+    for name, columns in (("enc_1", (t + 7200.0, t, t)), ("cam_1", (t + 0.1, t, t))):
+        rows = [",".join(map(str, row)) for row in zip(*columns, strict=True)]
+        (lab / f"{name}.csv").write_text("\n".join(["t_s,a,b", *rows]) + "\n")
+    (tmp_path / "m.toml").write_text(
+        '[log]\nfiles = {enc = "enc_{n}.csv", cam = "cam_{n}.csv"}\n'
+        'counts_left = "enc:a"\ncounts_right = "enc:b"\nref_x_m = "cam:a"\nref_y_m = "cam:b"\n'
+    )
+    made = ingest([lab], tmp_path / "c", mapping=tmp_path / "m.toml")
+    assert any("another time zone: lag_s = -7200 in each of its lines" in note.text for note in made.notes)
 
 
 def test_a_front_wheel_alone_needs_no_counts_of_the_others(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.campaign.ingest import expected_name, fits_name
 from calib.campaign.ingest.build import ingest
-from calib.campaign.ingest.contents import expected_name, fits_name
 from calib.campaign.ingest.describe import describe
 from calib.campaign.ingest.mapping import LogSection, MappedColumn, unit_spelled, units_for
 from calib.campaign.ingest.proposal_table import name_pattern

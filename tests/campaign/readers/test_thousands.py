@@ -9,7 +9,7 @@ import openpyxl
 import pytest
 
 from calib.campaign.checks.counts import clock
-from calib.campaign.ingest.contents import file_contents
+from calib.campaign.ingest import file_contents
 from calib.campaign.ingest.describe import describe
 from calib.campaign.logs import from_first_sample
 from calib.campaign.model import Border, Logs

@@ -9,17 +9,16 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from calib.gap.decision import decide
+from calib.gap.decision import Trial, decide
 from calib.gap.decision import kind as deciding
 from calib.gap.decision.causes import limited_beside, places_as_unexplained
 from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained, VerdictKind
 from calib.gap.decision.fix import noise_bounded
 from calib.gap.decision.held_out import Closure, Improvement
 from calib.gap.decision.kind import fails, is_shown, kind_of, no_mere_noise, scatters_alone, stands_off
-from calib.gap.decision.trials import Trial
-from calib.gap.inference.thresholds import REPORTED_GAP_PROBABILITY
+from calib.gap.inference import REPORTED_GAP_PROBABILITY
 from calib.gap.localise.locate import CovariateResult
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 from calib.types import IntArray
 
 #: the correction of one certain effect closes the gap on held-out runs
@@ -154,23 +153,23 @@ def test_a_cause_weaker_than_the_unexplained_residual_has_even_odds_at_most(
     share: float, signal: float, expected: float
 ) -> None:
     """What left so much unexplained may have left that little, too; the signal of the cause is 30."""
-    assert [each.probability for each in limited_beside(Unexplained(share, signal), [cause()])] == [expected]
+    assert [each.probability for each in limited_beside([cause()], Unexplained(share, signal))] == [expected]
 
 
 def test_of_an_incomplete_hypothesis_the_strongest_cause_alone_keeps_its_probability() -> None:
     """Its evidence compares wrong models only: several share one effect outside the library between them."""
     causes = [cause(), replace(cause(), effect="speed_radius", signal=25.0)]
     for beyond, weaker in ((False, 0.9), (True, 0.5)):
-        limited = limited_beside(Unexplained(0.4, 20.0, beyond_noise=beyond), causes)
+        limited = limited_beside(causes, Unexplained(0.4, 20.0, beyond_noise=beyond))
         assert [each.probability for each in limited] == [0.9, weaker]
 
 
 def test_even_odds_raise_no_probability() -> None:
-    assert limited_beside(Unexplained(0.4, 60.0), [cause(0.3)])[0].probability == 0.3
+    assert limited_beside([cause(0.3)], Unexplained(0.4, 60.0))[0].probability == 0.3
 
 
 def test_without_an_unexplained_residual_the_causes_stay_as_they_are() -> None:
-    assert limited_beside(None, [cause()]) == [cause()]
+    assert limited_beside([cause()], None) == [cause()]
 
 
 def test_a_place_of_the_floor_that_other_causes_outweigh_is_unexplained() -> None:

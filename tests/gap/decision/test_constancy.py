@@ -14,13 +14,13 @@ import statsmodels.api as sm
 from scipy import stats
 
 from calib.campaign.model import Campaign
+from calib.challenge import Seeds, read_seeds, recipes
 from calib.challenge.cases import campaigns_of, truth_of
-from calib.challenge.seal import Seeds, read_seeds, recipes
 from calib.gap.decision import constancy
 from calib.gap.decision.constancy import SizeDifference, _difference, beside_named_steps, half_of_mean, size_differences
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.inference.thresholds import FALSE_REJECTION, FORM_ERROR
+from calib.gap.inference import FALSE_REJECTION, FORM_ERROR
 
 #: cases of development, and the one of them that `tests.challenge.fixes` recommended a wrong fix for
 CASES = Seeds(

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
+from calib.gap.decision import Trial
 from calib.gap.decision.diagnosis import BY_MODEL, Cause, Diagnosis, Fix, Quantity, Unexplained, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement
 from calib.gap.decision.kind import with_left
-from calib.gap.decision.trials import Trial
-from calib.gap.observations.arrays import Channel
-from calib.gap.plan.identifiability import DetectionLimit
+from calib.gap.observations import Channel
+from calib.gap.plan import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun
 
 FULL = Diagnosis(

@@ -8,16 +8,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib.gap.decision import Trial
 from calib.gap.decision.causes import Finding, _means
 from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
 from calib.gap.decision.fix import alternatives, elsewhere, harmed, holds_zero, reasons
 from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement
-from calib.gap.decision.trials import Trial
-from calib.gap.effects.effect import Form, Parameter, always
+from calib.gap.effects import Form, Parameter, always
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.radii import NAMES
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 from calib.kinematics.readings import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE
 
 #: nine tenths of the gap close for certain

@@ -12,8 +12,8 @@ from calib.gap.decision.held_out import HeldOut, _fraction, _interval, folds, me
 from calib.gap.effects.radii import TemperatureRadius
 from calib.gap.inference.fit import fit
 from calib.gap.inference.least_squares import HeldOutFit
-from calib.gap.observations.arrays import Channel, Observations
-from calib.gap.plan.identifiability import noise_at
+from calib.gap.observations import Channel, Observations
+from calib.gap.plan import noise_at
 from calib.gap.predict import predict
 from tests.gap.effects.making import Motion, Run, rich_runs, situation
 

@@ -21,7 +21,7 @@ from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.part import _parted, is_named_beside, sure_part
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.inference.thresholds import EVEN_PROBABILITY
+from calib.gap.inference import EVEN_PROBABILITY
 from tests.gap import workshop
 from tests.real import recordings
 from tests.real.manipulations import POSES

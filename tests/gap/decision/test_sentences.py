@@ -10,9 +10,9 @@ from calib.gap.decision.decide import tied_with
 from calib.gap.decision.diagnosis import BY_SIMULATOR, Cause, Diagnosis, Fix, NoiseSummary, Quantity, VerdictKind
 from calib.gap.decision.held_out import ChannelClosure, Closure
 from calib.gap.decision.sentences import advice, headline, nothing_to_apply, sentence
-from calib.gap.localise.along_run import PlaceResult
+from calib.gap.localise import PlaceResult
 from calib.gap.localise.locate import GapLocation
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 
 DISTANCE = ChannelClosure(Channel.DISTANCE, 0.0061, 0.0019, 0.0023, 0.98)
 HEADING = ChannelClosure(Channel.HEADING, 0.012, 0.002, 0.002, 0.97)

@@ -11,8 +11,8 @@ import pytest
 import calib
 from calib.gap.decision import constancy
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.localise.along_run import ON_THE_FLOOR, PlaceResult
-from calib.gap.observations.arrays import Channel
+from calib.gap.localise import ON_THE_FLOOR, PlaceResult
+from calib.gap.observations import Channel
 from tests.gap import route_offsets
 
 #: seed of `route_offsets` whose two routes' own offsets three causes meet within the noise

@@ -9,10 +9,10 @@ import numpy as np
 
 from calib.campaign.model import Campaign, Logs, RunTable
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
-from calib.gap.observations.arrays import Observations
+from calib.gap import Perturbation
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
-from calib.gap.steps import Perturbation
 from calib.vehicle import Vehicle
 
 TRACK_M, RADIUS_M, WHEELBASE_M = 0.7, 0.1, 1.0

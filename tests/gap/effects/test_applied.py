@@ -12,10 +12,10 @@ import pytest
 
 from calib.coefficients.build import Header, from_law
 from calib.coefficients.sections import Quantity
-from calib.gap.effects.effect import Form
+from calib.gap.effects import Form
 from calib.gap.effects.encoder import Blunder
 from calib.gap.effects.library import applied_perturbations, beyond_law, every_effect, section_of, with_effects
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, signature
 from calib.io import write_bytes

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from calib.errors import BadFileError, BadInputError, CalibError
+from calib.gap import Perturbation
+from calib.gap.effects import Centre, Effect, Form, Parameter
 from calib.gap.effects.columns import ACTS_ON, covariate_columns, entry_point_effects
-from calib.gap.effects.effect import Centre, Effect, Form, Parameter
 from calib.gap.effects.library import check_excluded, library
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, signature
-from calib.gap.steps import Perturbation
 from tests.gap.effects.making import ROUTE, STRAIGHT, Run, campaign, situation
 
 RUNS = [Run(STRAIGHT, numbers={"tyre_bar": 2.0 + 0.1 * (i % 4), "temperature_C": 20.0 + i}) for i in range(12)]

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.effects.effect import Form, matching_form
+from calib.gap.effects import Form, matching_form
 from calib.gap.effects.encoder import find_blunder
 from calib.gap.effects.floor import CELL_M, MAX_STRIPS
 from calib.gap.effects.library import library
-from calib.gap.effects.quantities import driven_speed_mps, end_motion
+from calib.gap.effects.quantities import driven_speed_mps, end_motion, sessions
 from calib.gap.effects.radii import stops
-from calib.gap.observations.arrays import Channel, Observations
+from calib.gap.observations import Channel, Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals, signature
 from calib.radius.path_length import whole_period_excess
@@ -200,6 +200,17 @@ def test_session_steps_count_from_the_first_session_driven() -> None:
     of_two = situation([run for run in runs if run.session != "mid"])
     (single,) = next(e for e in library(of_two) if e.id == "session_step").forms(of_two)
     assert (single.label, single.tries) == ("", 1)
+
+
+def test_recordings_of_loads_that_come_back_are_no_sessions() -> None:
+    """Twelve windows of one run under one load are one run: a step for each would imitate any law of the load."""
+    runs = [Run(STRAIGHT, load_left_N=load_N, load_right_N=load_N) for load_N in (300.0, 500.0, 700.0) * 4]
+    s = situation([run for run in runs for _ in range(4)])
+    windows = replace(s, run=np.repeat(np.arange(12), 4), windowed=True)
+    assert set(sessions(windows)) == {"s1"}
+    # under each load once, anything may have changed with it
+    once = situation([run for run in runs[:3] for _ in range(4)])
+    assert len(set(sessions(replace(once, run=np.repeat(np.arange(3), 4), windowed=True)))) == 3
 
 
 def test_a_slip_alike_in_all_runs_is_said_to_be_perhaps_the_front_wheels_radius() -> None:

@@ -11,10 +11,10 @@ import pytest
 
 import calib.gap.effects as package
 from calib.coefficients.file import OF_INSTRUMENTS
-from calib.gap.effects.effect import Effect, Family, Form
+from calib.gap.effects import Effect, Family, Form
 from calib.gap.effects.library import REGISTRY, every_effect, library
 from calib.gap.effects.radii import DIRECTIONS, NAMES, TYPICAL
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, signature
 from tests.gap.effects.making import campaign, rich_runs, situation, with_outside_simulator

@@ -11,7 +11,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.reference import TurnedReference, find_turned
+from calib.gap.effects.mounting import TurnedReference, find_turned
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from tests.blunders import plant

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from calib.campaign.settings import OdometryModel
-from calib.gap.effects.effect import Form
+from calib.gap.effects import Form
 from calib.gap.effects.library import REGISTRY, library
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict
 from calib.types import FloatArray

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.gap.effects.effect import Form, Parameter
+from calib.gap.effects import Form, Parameter
 from calib.gap.effects.library import library
 from calib.gap.effects.load import LoadRadius
 from calib.gap.effects.radii import SpeedRadius
@@ -23,9 +23,9 @@ from calib.gap.inference.linear_model import LinearSystem
 from calib.gap.inference.local_search import LocalSearch
 from calib.gap.inference.model_search import continuation_start, is_far
 from calib.gap.inference.noise import Noise, estimate_noise
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.identifiability import noise_at
+from calib.gap.plan import noise_at
 from calib.gap.predict import Path, predict, residuals
 from calib.plant.design import good_design
 from calib.plant.effects import find

@@ -11,7 +11,7 @@ from calib.gap.effects.radii import TemperatureRadius
 from calib.gap.inference.fit import fit
 from calib.gap.inference.least_squares import Weighting
 from calib.gap.inference.linear_model import LinearSystem
-from calib.gap.plan.identifiability import noise_at
+from calib.gap.plan import noise_at
 from calib.gap.predict import predict
 from tests.gap.effects.making import Motion, Run, rich_runs, situation
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, multivariate_t, norm
 
-from calib.gap.effects.effect import Form, Parameter
+from calib.gap.effects import Form, Parameter
 from calib.gap.inference.fit import whitened_rows
 from calib.gap.inference.marginal_likelihood import (
     FLOOR_DOF,
@@ -24,7 +24,7 @@ from calib.gap.inference.marginal_likelihood import (
     project,
 )
 from calib.gap.inference.scalar_products import SCALE_CHOICE_COST, FormPriors, Layout, Sums, WideSums
-from calib.gap.plan.identifiability import noise_at
+from calib.gap.plan import noise_at
 from calib.gap.predict import predict
 from tests.gap.effects.making import rich_runs, situation
 

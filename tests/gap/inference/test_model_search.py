@@ -14,7 +14,7 @@ from calib.gap.inference import local_search
 from calib.gap.inference.fit import fit
 from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.model_search import _most_probable, _WeighedModels, search
-from calib.gap.plan.identifiability import noise_at
+from calib.gap.plan import noise_at
 from calib.gap.predict import predict
 from calib.types import FloatArray
 from tests.gap.effects.making import MODEL, RADIUS_M, Motion, Run, rich_runs, situation

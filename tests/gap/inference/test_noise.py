@@ -18,7 +18,7 @@ from calib.gap.inference.noise_components import (
     quantisation,
 )
 from calib.gap.inference.repeatability import Replicates, ScaleLikelihood
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.predict import Path, predict, residuals
 from tests.gap import noise_bias
 from tests.gap.effects.making import (

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from calib.gap.effects.effect import Effect
+from calib.gap.effects import Effect
 from calib.gap.effects.radii import DIRECTIONS, TYPICAL, TemperatureRadius
 from calib.gap.effects.turning import LoadDependentTrack
 from calib.gap.inference import recalibration, scalar_products
@@ -27,7 +27,7 @@ from calib.gap.inference.recalibration import (
     weigh_subsets,
     without_unidentified,
 )
-from calib.gap.plan.identifiability import noise_at
+from calib.gap.plan import noise_at
 from calib.gap.predict import predict
 from tests.gap.effects.making import Motion, Run, rich_runs, situation
 

@@ -11,7 +11,7 @@ import pytest
 from calib.campaign.settings import Reference
 from calib.gap.inference.noise import Basis, Noise, estimate_noise, window_growth
 from calib.gap.inference.repeatability import Replicates, neighbours, thinned_replicates
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from tests.gap.effects.making import ROUTE, Motion, Run, situation

@@ -19,7 +19,7 @@ from calib.gap.inference.noise import estimate_noise
 from calib.gap.inference.noise_components import COMPONENTS, PRIOR_MEDIANS, NoiseComponents
 from calib.gap.inference.repeatability import PRIOR_SPREADS
 from calib.gap.inference.scale_evidence import ScaleEvidence
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 from calib.gap.predict import predict, residuals
 from calib.types import FloatArray
 from tests.gap import noise_bias

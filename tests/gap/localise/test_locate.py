@@ -12,14 +12,14 @@ from statsmodels.stats.multitest import multipletests
 from calib.campaign.model import Campaign
 from calib.gap.inference.fit import fit
 from calib.gap.inference.noise import Noise, estimate_noise
-from calib.gap.localise.along_run import FALSE_FINDING_PROBABILITY, Trace, _slope, compare_windows
+from calib.gap.localise import FALSE_FINDING_PROBABILITY, Trace, _slope, compare_windows
 from calib.gap.localise.locate import (
     CovariateResult,
     GapLocation,
     holm_corrected,
     locate,
 )
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
 from calib.plant.design import good_design, poor_design

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.localise.along_run import PlaceResult
+from calib.gap.localise import PlaceResult
 from calib.gap.localise.locate import ChannelGap, CovariateResult, GapLocation, RunDeviation
-from calib.gap.observations.arrays import N_CHANNELS, Channel
+from calib.gap.observations import N_CHANNELS, Channel
 from tests.real import recordings
 
 ZONE = PlaceResult(

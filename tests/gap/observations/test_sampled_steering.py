@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.types import FloatArray
 
 #: a corner of a quarter turn: speed, radius and wheelbase, and the way over which the curvature rises and falls

@@ -11,7 +11,7 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder
 from calib.gap.decision.diagnosis import Diagnosis
-from calib.gap.observations.arrays import Channel
+from calib.gap.observations import Channel
 from calib.gap.observations.from_campaign import observations_of
 from calib.reporting.figures.gap import GapArrays
 from calib.vehicle import Vehicle

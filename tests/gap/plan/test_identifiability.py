@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.gap.effects.effect import Form
+from calib.gap.effects import Form
 from calib.gap.effects.library import library
 from calib.gap.inference.fit import CALIBRATION_SD, fit
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
-from calib.gap.plan.identifiability import SEPARATION_SD, aliases_of, distance, noise_at, undetectable
+from calib.gap.plan import SEPARATION_SD, aliases_of, distance, noise_at, undetectable
 from calib.gap.predict import predict
 from tests.gap.effects.making import SQUARE, Run, rich_runs, situation
 

@@ -24,9 +24,9 @@ from calib.gap.inference.fit import fit
 from calib.gap.inference.linear_model import WhitenedSystem
 from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise
-from calib.gap.observations.arrays import Observations
+from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
-from calib.gap.plan.identifiability import SEPARATION_SD, Apart, Task, noise_at, outlook_of, undetectable
+from calib.gap.plan import SEPARATION_SD, Apart, Task, noise_at, outlook_of, undetectable
 from calib.gap.plan.next_runs import next_runs, read_plan, with_next
 from calib.gap.plan.planned_runs import (
     Measured,

@@ -21,9 +21,9 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
+from calib.gap.simulator import read_settings
 from calib.gap.simulator.diagnose import diagnose_simulator
 from calib.gap.simulator.runner import Job, SimulatorRunner
-from calib.gap.simulator.settings import read_settings
 from tests.gap.effects.making import campaign
 from tests.gap.simulator.made import NOMINAL, numpy_ends, numpy_settings, on_disk, runs
 from tests.gap.simulator.noisy import CHANGES

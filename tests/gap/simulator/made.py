@@ -12,8 +12,8 @@ from unittest.mock import patch
 
 import numpy as np
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign
-from calib.campaign.tables import write_campaign
 from calib.gap.simulator.runner import Job, SimulatorRunner
 from examples.numpy_simulator.simulator import simulate
 from tests.gap.effects.making import SQUARE, STRAIGHT, Run, campaign

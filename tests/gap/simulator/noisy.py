@@ -21,9 +21,9 @@ from unittest.mock import patch
 import numpy as np
 
 from calib.campaign.read import read_campaign
+from calib.gap.simulator import read_settings
 from calib.gap.simulator.diagnose import SimulatorDiagnosis, diagnose_simulator
 from calib.gap.simulator.runner import Job, SimulatorRunner
-from calib.gap.simulator.settings import read_settings
 from tests.gap.effects.making import campaign
 from tests.gap.simulator.made import numpy_campaign, numpy_ends, numpy_settings, runs
 

@@ -19,9 +19,9 @@ from calib.cli.main import run
 from calib.gap.decision.diagnosis import VerdictKind
 from calib.gap.decision.held_out import RERUN
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
+from calib.gap.simulator import read_settings
 from calib.gap.simulator.diagnose import SimulatorDiagnosis, diagnose_simulator
 from calib.gap.simulator.runner import SimulatorRunner
-from calib.gap.simulator.settings import read_settings
 from tests.gap.simulator.made import NOMINAL, NUMPY, called, numpy_campaign, numpy_settings
 
 #: standard deviations within which an estimate is of its truth: a chance of some 1 in 4000 of more

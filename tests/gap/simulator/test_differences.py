@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from calib.gap.predict import predict
+from calib.gap.simulator import RunCache, read_settings
 from calib.gap.simulator.runner import Differences, Job, SimulatorRunner, differences_of
-from calib.gap.simulator.settings import RunCache, read_settings
 from calib.types import silent
 from tests.gap.effects.making import Run, situation
 

@@ -13,9 +13,9 @@ import pytest
 from calib.campaign.read import read_campaign
 from calib.gap.decision.diagnosis import BY_SIMULATOR, Diagnosis
 from calib.gap.diagnose import diagnose_in_full
+from calib.gap.simulator import read_settings
 from calib.gap.simulator.diagnose import diagnose_simulator
 from calib.gap.simulator.runner import SimulatorRunner
-from calib.gap.simulator.settings import read_settings
 from tests.gap.simulator.made import NOMINAL, called, numpy_campaign, numpy_settings
 
 #: standard deviations within which an estimate is of its truth: a chance of some 1 in 4000 of more

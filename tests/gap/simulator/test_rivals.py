@@ -13,9 +13,9 @@ import pytest
 
 from calib.campaign.read import read_campaign
 from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.simulator import read_settings
 from calib.gap.simulator.diagnose import diagnose_simulator
 from calib.gap.simulator.runner import Job, SimulatorRunner
-from calib.gap.simulator.settings import read_settings
 
 #: name -> nominal value, step, largest plausible deviation: motors' gains and time constants
 PARAMETERS = {

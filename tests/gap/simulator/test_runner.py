@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from calib.errors import BadInputError
+from calib.gap.simulator import read_settings, run_cache
 from calib.gap.simulator.runner import Job, SimulatorRunner
-from calib.gap.simulator.settings import read_settings, run_cache
 
 RUNS = ["a", "b"]
 #: writes p and 2 p as the ends of two runs, after what a test puts in the place of ACT

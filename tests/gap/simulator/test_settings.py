@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.errors import BadFileError
-from calib.gap.simulator.settings import BadTableError, read_settings, read_table, written_wrong
+from calib.gap.simulator import BadTableError, read_settings, read_table, written_wrong
 
 SOUND = """
 command = ["sim", "{campaign}", "{parameters}", "{out}"]

@@ -14,10 +14,10 @@ import pytest
 from calib.campaign.read import read_campaign
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+from calib.gap.simulator import read_settings
 from calib.gap.simulator.diagnose import diagnose_simulator
 from calib.gap.simulator.fix import parameters_to_set
 from calib.gap.simulator.runner import Job, SimulatorRunner
-from calib.gap.simulator.settings import read_settings
 from tests.gap.effects.making import campaign
 from tests.gap.simulator.made import NOMINAL, numpy_ends, on_disk, runs
 

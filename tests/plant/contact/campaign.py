@@ -203,7 +203,7 @@ def make_contact_campaign(
     Returns
     -------
     Campaign
-        In memory; ``calib.campaign.tables.write_campaign`` puts it into a folder. ``[model]`` is what `baseline` runs
+        In memory; ``calib.campaign.write_campaign`` puts it into a folder. ``[model]`` is what `baseline` runs
         of the sound vehicle measured.
 
     Raises

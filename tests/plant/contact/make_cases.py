@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.campaign.tables import write_campaign
+from calib.campaign import write_campaign
 from calib.io import write_json
 from tests.plant.contact.baseline import baseline
 from tests.plant.contact.campaign import Lengths, make_contact_campaign

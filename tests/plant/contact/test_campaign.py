@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.campaign import write_campaign
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.campaign.tables import write_campaign
 from calib.errors import BadInputError
 from tests.plant.contact.baseline import Baseline, baseline, belief_of, dead_reckoning
 from tests.plant.contact.campaign import CONDITIONS, Lengths, make_contact_campaign, order_of_runs

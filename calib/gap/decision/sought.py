@@ -1,0 +1,316 @@
+"""What was driven: single runs that are off by themselves omitted, blunders of encoders and mounting corrected."""
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.check import implausible, notes_for_results
+from calib.campaign.model import Campaign
+from calib.campaign.settings import OdometryModel
+from calib.coefficients.sections import EffectSection
+from calib.errors import BadInputError, RefusedError
+from calib.gap.decision import most_square
+from calib.gap.decision.confounding import calibrated
+from calib.gap.decision.diagnosis import Situation
+from calib.gap.effects import Effect, forms_on
+from calib.gap.effects.encoder import (
+    BAD_RUN_RATIO,
+    MOST_BAD_RUNS,
+    EncoderBlunder,
+    bad_runs,
+    corrected,
+    find_blunder,
+    misfit,
+)
+from calib.gap.effects.library import with_effects
+from calib.gap.effects.mounting import MIN_TURN_RAD, RESTATED, Mounting, Restated, TurnedReference, find_turned
+from calib.gap.effects.reference import ReferenceLatency, ReferenceYaw
+from calib.gap.effects.simulator import as_simulated
+from calib.gap.effects.steering import steering_blunder
+from calib.gap.inference import CERTAIN_PROBABILITY, LOG_EVIDENCE_WINDOW
+from calib.gap.inference.fit import Fitted, fit, recalibrate, squares_by_unit
+from calib.gap.inference.local_search import SearchResult
+from calib.gap.inference.noise import Noise, estimate_noise
+from calib.gap.observations import Channel, Observations
+from calib.gap.observations.from_campaign import check_distances, observations_of
+from calib.gap.predict import Path, measured_gap, predict, residuals
+from calib.types import BoolArray, FloatArray, IntArray
+
+#: fits about a sensor's place and delay found, two settle one of them; a step below so many standard uncertainties is
+#: the last
+PLACE_PASSES: Final = 8
+CLOSE: Final = 0.1
+#: labels of the forms of a place and of a delay
+PLAIN_LABELS: Final = ("", ReferenceLatency.OF_POSE)
+#: headings that agree with the counts within this share of their standard uncertainty, on so many runs of which one
+#: turns by so much, are the odometry's own
+COPIED_SHARE: Final = 1e-6
+FEWEST_COPIED: Final = 4
+LEAST_TURN_RAD: Final = 1e-2
+
+
+@dataclass(frozen=True, slots=True)
+class Sought:
+    """What a campaign is compared with, and how it is cut."""
+
+    model: OdometryModel | None
+    applied: Sequence[EffectSection]
+    exclude: tuple[str, ...]
+    into_windows: bool | None = None
+
+    def situation(self, campaign: Campaign) -> Situation:
+        """Return what was driven, blunders of the reference's mounting and of the encoders corrected."""
+        observations, notes = self._observed(campaign, self.applied)
+        nominal = predict(observations)
+        # effects that the model has stand where an outside simulator's poses would
+        bare = predict(self._observed(campaign, ())[0]) if self.applied else nominal
+        if turned := None if ReferenceYaw.id in self.exclude else find_turned(bare):
+            return self._corrected(campaign, (turned,), measured_gap(nominal, nominal))
+        if omitted := bad_runs(nominal):
+            return replace(self.situation(without_runs(campaign, omitted)), omitted=omitted)
+        return self.counted(campaign, observations, notes)
+
+    def remounted(self, campaign: Campaign, before: Situation, mounted: Sequence[Mounting]) -> Situation:
+        """Return the situation with the reference mounted so; the gap as first read is kept, window by window."""
+        nominal = predict(before.observations)
+        as_read = measured_gap(nominal, nominal) if before.as_counted is None else before.as_counted
+        after = self._corrected(campaign, mounted, as_read)
+        path = predict(after.observations)
+        as_counted = _row_by_row(path, nominal, as_read, measured_gap(path, path))
+        return replace(after, as_counted=as_counted, omitted=before.omitted)
+
+    def mounted(
+        self,
+        campaign: Campaign,
+        situation: Situation,
+        searched: SearchResult,
+        effects: Sequence[Effect],
+        *,
+        refine: bool,
+    ) -> tuple[Mounting, ...]:
+        """Return the reference's mounting where a search shows it otherwise than the situation has it, else nothing.
+
+        Parameters
+        ----------
+        campaign, situation
+            As given, and as searched.
+        searched, effects
+            What was found, and the library.
+        refine
+            Turn a turned reference by the angle found further. Else its place or delay: of positions without headings
+            the course stands for these, which depends on both, so that sizes are fitted about those last found.
+        """
+        known = tuple(fault for fault in situation.faults if isinstance(fault, Mounting))
+        for form, theta, place in searched.fitted.each() if refine else ():
+            if form.effect == ReferenceYaw.id and form.label == ReferenceYaw.OF_POSITION:
+                sd_rad = float(np.sqrt(searched.fitted.covariance[place, place][0, 0]))
+                if turned := [fault for fault in known if isinstance(fault, TurnedReference)]:
+                    return (turned[0].refined(float(theta[0]), sd_rad),)
+        likely, error = searched.inclusion(), situation.observations.course_error
+        found = {
+            form.effect: size
+            for form, size, _ in searched.fitted.each()
+            if form.effect in RESTATED and form.label in PLAIN_LABELS and likely[form.effect] > CERTAIN_PROBABILITY
+        }
+        offered, best, least = {effect.id: effect for effect in effects}, tuple[Mounting, ...](), np.inf
+        for names in (chosen for n in range(1, len(found) + 1) for chosen in combinations(found, n)):
+            bent = np.sum([error[:, :, RESTATED[name][1]] @ found[name] for name in names], axis=0)
+            if np.abs(bent).max() >= MIN_TURN_RAD:
+                new = [RESTATED[name][0](found[name], 0.0 * found[name], calibrated(likely[name])) for name in names]
+                mounted, misfit = self._settled(campaign, (*known, *new), searched, offered)
+                shown = tuple(fault for fault in mounted if not isinstance(fault, Restated) or fault.is_shown)
+                # a further one has to pay for itself
+                misfit += 2.0 * LOG_EVIDENCE_WINDOW * (len(shown) - len(known))
+                if misfit < least and len(shown) > len(known):
+                    best, least = shown, misfit
+        return best
+
+    def _settled(
+        self, campaign: Campaign, mounted: tuple[Mounting, ...], searched: SearchResult, effects: dict[str, Effect]
+    ) -> tuple[tuple[Mounting, ...], float]:
+        # and - 2 log likelihood of what is left, each channel at its own level
+        for _ in range(PLACE_PASSES):
+            path = predict(self._observed(_with(campaign, mounted), self.applied)[0])
+            restated = [fault.effect.id for fault in mounted if isinstance(fault, Restated)]
+            plain = [form for name in restated for form in effects[name].forms(path.s) if form.label in PLAIN_LABELS]
+            others = [form for form in searched.fitted.forms if form.effect not in restated]
+            forms = plain + [form for form in forms_on(path.s, effects, others) if form is not None]
+            fitted = fit(path, estimate_noise(path, residuals(path, path)), forms)
+            fitted = fit(path, estimate_noise(fitted.path, fitted.left), forms)
+            spread = np.sqrt(np.diag(fitted.covariance))
+            sizes = {form.effect: (size, spread[place]) for form, size, place in fitted.each()}
+            mounted = tuple(one.moved(*sizes[one.effect.id]) if isinstance(one, Restated) else one for one in mounted)
+            if all((np.abs(sizes[name][0]) < CLOSE * sizes[name][1]).all() for name in restated):
+                break
+        left = [fitted.left[use, k] for k, use in enumerate(path.s.usable.T) if use.any()]
+        return mounted, float(sum(len(each) * np.log(np.mean(each**2)) for each in left))
+
+    def _corrected(self, campaign: Campaign, mounted: Sequence[Mounting], as_read: FloatArray) -> Situation:
+        campaign = _with(campaign, mounted)
+        return self.counted(campaign, *self._observed(campaign, self.applied), tuple(mounted), as_read)
+
+    def counted(
+        self,
+        campaign: Campaign,
+        observations: Observations,
+        notes: tuple[str, ...],
+        faults: tuple[Mounting, ...] = (),
+        as_counted: FloatArray | None = None,
+    ) -> Situation:
+        """Return the situation, a blunder of the encoders corrected.
+
+        Parameters
+        ----------
+        campaign, observations, notes
+            As observed.
+        faults
+            Of the reference's mounting, corrected in these.
+        as_counted
+            The gap as first read.
+        """
+        nominal = predict(observations)
+        fault = None if EncoderBlunder.id in self.exclude else find_blunder(observations, nominal)
+        if fault is None:
+            return Situation(campaign, observations, notes, faults, as_counted)
+        if as_counted is None:
+            as_counted = measured_gap(nominal, nominal)
+        right = corrected(observations, fault)
+        if fault.swapped and not faults:
+            # the same to any data but for the place of the sensor, and radii or loads of left and right that differ
+            mirror = TurnedReference(0.0, 0.0, mirrored=True, clockwise=True)
+            turned = mirror.correct(campaign)
+            seen, said = self._observed(turned, self.applied)
+            by_mirror, by_counts = (
+                recalibrate(path, estimate_noise(path, residuals(path, path))).chi_square
+                for path in map(predict, (seen, right))
+            )
+            if by_mirror + 2.0 * LOG_EVIDENCE_WINDOW < by_counts:
+                return Situation(turned, seen, said, (mirror,), as_counted)
+        return Situation(campaign, right, notes, (*faults, fault), as_counted)
+
+    def _observed(self, campaign: Campaign, applied: Sequence[EffectSection]) -> tuple[Observations, tuple[str, ...]]:
+        observations = observations_of(campaign, self.model, into_windows=self.into_windows)
+        if np.isfinite(observations.simulated).any():
+            observations = as_simulated(observations)
+        if blunder := steering_blunder(observations):
+            raise BadInputError(f"{campaign.name}: column steer_rad: {blunder}, then diagnose again")
+        check_distances(campaign, observations)
+        if not observations.usable.any():
+            wrong = " ".join(note.sentence for note in implausible(campaign))
+            needed = (
+                "an end pose needs ref_x_m and ref_y_m together and a log where the path bends, or give distance_m or "
+                "ref_theta_rad; positions of a log need units, counts and a zero of steer_rad that lead along them"
+            )
+            raise RefusedError(
+                f"{campaign.name}: no run has a channel that can be compared with the simulation; {wrong or needed}"
+            )
+        said = (*(note.sentence for note in implausible(campaign)), *notes_for_results(campaign))
+        if not applied:
+            return observations, said
+        changed, notes = with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
+        return changed, (*said, *notes)
+
+
+def _row_by_row(path: Path, other: Path, values: FloatArray, missing: FloatArray) -> FloatArray:
+    # values (n_units, 6) of another path for the windows of this one; `missing` where it lacks one
+    pairs = [zip(one.s.run.tolist(), one.s.window.tolist(), strict=True) for one in (path, other)]
+    row = {pair: number for number, pair in enumerate(pairs[1])}
+    rows = np.array([row.get(pair, -1) for pair in pairs[0]])
+    return np.where((rows >= 0)[:, None] & np.isfinite(values[rows]), values[rows], missing)
+
+
+def _with(campaign: Campaign, mounted: Sequence[Mounting]) -> Campaign:
+    for fault in mounted:
+        campaign = fault.correct(campaign)
+    return campaign
+
+
+def refuse_copied(campaign: Campaign, nominal: Path) -> None:
+    """Raise BadInputError where the headings are those of the counts."""
+    observations = nominal.s
+    measured = observations.usable[:, Channel.HEADING]
+    turned_rad = nominal.end[measured, 2] + residuals(nominal, nominal)[measured, Channel.HEADING]
+    if measured.sum() < FEWEST_COPIED or np.abs(turned_rad).max() < LEAST_TURN_RAD:
+        return
+    travels_m = (observations.travel_left_m, observations.travel_right_m)
+    ways_m = np.stack([np.bincount(observations.unit, one, len(observations))[measured] for one in travels_m], axis=1)
+    off_rad = float(np.abs(turned_rad - ways_m @ np.linalg.lstsq(ways_m, turned_rad)[0]).max())
+    stated_rad = float(np.min(observations.sigma[measured, Channel.HEADING]))
+    if off_rad < COPIED_SHARE * stated_rad:
+        raise BadInputError(
+            f"{campaign.name}: column ref_theta_rad: found headings that agree with the counts within {off_rad:.1g} "
+            f"rad on all {measured.sum()} runs, where their standard uncertainty is {1e3 * stated_rad:.2g} mrad; "
+            "expected those of an instrument of its own: these were computed from the counts"
+        )
+
+
+def lone_run(situation: Situation) -> dict[str, float]:
+    """Return the one run, by id, its share off, beside which a recalibration leaves all others within the stated noise.
+
+    Only where nothing was driven twice: repeats tell noise by themselves. Another run of its kind stays.
+    """
+    nominal = predict(situation.observations)
+    noise, observations = estimate_noise(nominal, residuals(nominal, nominal)), situation.observations
+    rows = observations.usable.sum(axis=1)
+    if observations.windowed or noise.dof > 0.0 or not noise.supported or situation.omitted:
+        return {}
+    squares = squares_by_unit(nominal, noise, (whole := recalibrate(nominal, noise)).left)
+    run, kind = int(np.argmax(squares)), observations.labels["kind"]
+    if whole.chi_square <= most_square(int(rows.sum())) or (kind == kind[run]).sum() < 2:
+        return {}
+    others = _by_others(nominal, noise, np.arange(len(rows)) == run)
+    if others.chi_square > most_square(int(rows.sum() - rows[run])):
+        return {}
+    return _named(others, np.arange(len(rows)), [run])
+
+
+def lone_recordings(situation: Situation) -> dict[str, float]:
+    """Return the few recordings, by id, each its share off, that are off by themselves.
+
+    Outliers of a joint estimate that fits all others, else the one that is three times as far off as any other once
+    these are recalibrated: no cause that acts in all takes it off so far.
+    """
+    from calib.kinematics.estimate import estimate_geometry
+
+    nominal, run_id = predict(situation.observations), situation.observations.labels["run_id"]
+    noise = estimate_noise(nominal, residuals(nominal, nominal))
+    runs, unit = np.unique(situation.observations.run, return_inverse=True)
+    most, names = int(MOST_BAD_RUNS * len(runs)), [str(run_id[unit == number][0]) for number in range(len(runs))]
+    try:
+        geometry = estimate_geometry(situation.campaign)
+        outliers = [names.index(name) for name in geometry.outliers if name in names]
+        if geometry.passed and 0 < len(outliers) <= most:
+            return _named(_by_others(nominal, noise, np.isin(unit, outliers)), unit, outliers)
+    except RefusedError:
+        pass
+
+    def off(fitted: Fitted) -> FloatArray:
+        squares = np.bincount(unit, squares_by_unit(nominal, noise, fitted.left))
+        return np.sqrt(squares / np.fmax(np.bincount(unit, situation.observations.usable.sum(axis=1)), 1))
+
+    worst = int(np.argmax(off(recalibrate(nominal, noise))))
+    others = _by_others(nominal, noise, unit == worst)
+    alone = off(others)
+    apart = most > 0 and alone[worst] > BAD_RUN_RATIO * max(np.delete(alone, worst))
+    return _named(others, unit, [worst]) if apart else {}
+
+
+def _by_others(nominal: Path, noise: Noise, mine: BoolArray) -> Fitted:
+    weight = np.where(mine, 1e12, 1.0)[:, None, None]
+    return recalibrate(nominal, replace(noise, covariance=noise.covariance * weight))
+
+
+def _named(others: Fitted, unit: IntArray, numbers: Sequence[int]) -> dict[str, float]:
+    off, run_id = misfit(others.path), others.path.s.labels["run_id"]
+    return {str(run_id[unit == number][0]): float(off[unit == number].mean()) for number in numbers}
+
+
+def without_runs(campaign: Campaign, omitted: Collection[str]) -> Campaign:
+    """Return the campaign with these runs excluded, by id."""
+    if not omitted:
+        return campaign
+    excluded = campaign.runs.excluded | np.isin(campaign.runs.label("run_id"), list(omitted))
+    return replace(campaign, runs=replace(campaign.runs, excluded=excluded))

@@ -1,0 +1,54 @@
+"""A recording that is off by itself is omitted and named, and hides nothing that all others share."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
+from calib.gap.decision.diagnosis import VerdictKind
+from calib.gap.diagnose import diagnose_in_full
+from tests.gap import free_drives
+
+BAD = 2
+#: of some forty windows over a noise level that is known to a fifth
+ROOT_SPREAD = 1.4
+
+
+def with_one_late(folder: Path, sizes: dict[str, float], late_s: float) -> Campaign:
+    """Return six recordings, one of whose references reads late."""
+    campaign = read_campaign(free_drives.write(folder / "free", "differential", sizes, 1e-4, np.random.default_rng(9)))
+    columns = {name: values.copy() for name, values in campaign.logs.columns.items()}
+    log = campaign.logs.of(BAD)
+    mine = slice(campaign.logs.offsets[BAD], campaign.logs.offsets[BAD + 1])
+    for name in ("ref_x_m", "ref_y_m", "ref_theta_rad"):
+        columns[name][mine] = np.interp(log["t_s"] - late_s, log["t_s"], log[name])
+    return replace(campaign, logs=replace(campaign.logs, columns=columns))
+
+
+@pytest.mark.parametrize("late_s", [0.5, 1.0])
+def test_one_late_recording_hides_no_cause_of_all_others(tmp_path: Path, late_s: float) -> None:
+    """It took up any noise level: no gap beside a misfit of 45 noise levels, or nothing said for want of repeats."""
+    diagnosis = diagnose_in_full(with_one_late(tmp_path, {"track_width": 0.012}, late_s), plan=False)
+    assert [cause.effect for cause in diagnosis.causes] == ["track_width"] and diagnosis.recommended
+    assert diagnosis.evidence is not None and [*diagnosis.evidence.situation.omitted] == [f"rec{BAD}"]
+    assert f"rec{BAD}" in diagnosis.sentence and "late" in diagnosis.sentence
+
+
+def test_beside_sound_recordings_it_is_the_only_gap(tmp_path: Path) -> None:
+    diagnosis = diagnose_in_full(with_one_late(tmp_path, {}, 1.0), plan=False)
+    assert not diagnosis.recommended and f"rec{BAD}" in diagnosis.sentence
+    assert all(line.before_rms < ROOT_SPREAD * line.floor_rms for line in diagnosis.closure.channels)
+    # no all-clear: the status is not that of a sound campaign
+    assert diagnosis.kind is not VerdictKind.NO_GAP or any(
+        f"rec{BAD} alone" in text for text in diagnosis.correct_first
+    )
+
+
+def test_sound_recordings_are_all_used(tmp_path: Path) -> None:
+    diagnosis = diagnose_in_full(with_one_late(tmp_path, {"track_width": 0.012}, 0.0), plan=False)
+    assert diagnosis.evidence is not None and not diagnosis.evidence.situation.omitted

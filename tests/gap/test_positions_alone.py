@@ -1,0 +1,97 @@
+"""References without headings: the course stands for these, which depends on the sensor's place and on its delay."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib.api import diagnose
+from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
+from calib.campaign.settings import Reference
+from calib.gap.apply import applied_model
+from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.diagnose import diagnose_in_full
+from calib.gap.effects.mounting import DisplacedSensor, LateReference
+from tests.gap import free_drives
+
+#: of the sensor's place in `free_drives`, to the left over ahead
+ASIDE = 0.3
+#: of a reference that follows the vehicle, the drift of its wheels from recording to recording
+SCATTER = 1e-4
+#: by how much the root mean square of some fifty windows exceeds the noise level where nothing else is left: each level
+#: is known to a fifth
+ROOT_SPREAD = 1.4
+
+
+def driven(folder: Path, sizes: dict[str, float], seed: int, drive: str = "differential") -> Campaign:
+    """Return recordings of six drives whose reference has no headings."""
+    rng = np.random.default_rng(seed)
+    return read_campaign(free_drives.write(folder / "free", drive, sizes, SCATTER, rng, headings=False))
+
+
+def held(diagnosis: Diagnosis, effect: str, **sizes: float) -> bool:
+    """Return whether a named cause's intervals hold its true sizes, within twice their width: beyond four sd."""
+    (cause,) = [cause for cause in diagnosis.causes if cause.effect == effect]
+    found = {name: cause.parameters[name] for name in sizes}
+    return all(abs(one.value - sizes[name]) <= one.ci95[1] - one.ci95[0] for name, one in found.items() if one.ci95)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "seed", "drive"),
+    [
+        ({"reference_lever_arm": 0.3, "radius_scale": -0.012}, 1, "differential"),
+        ({"reference_lever_arm": 0.12, "reference_latency": 0.12}, 2, "differential"),
+        ({"reference_latency": 0.25}, 3, "differential"),
+        ({"reference_lever_arm": 0.5}, 4, "tricycle"),
+    ],
+)
+def test_place_and_delay_are_found_with_what_is_beside_them(
+    tmp_path: Path, sizes: dict[str, float], seed: int, drive: str
+) -> None:
+    """Linear about the stated place a lever of half a track is 3 % off, and a radius 1.2 % off is not named."""
+    diagnosis = diagnose_in_full(driven(tmp_path, sizes, seed, drive), plan=False)
+    assert {cause.effect for cause in diagnosis.causes} == set(sizes) and diagnosis.recommended
+    if lever := sizes.get("reference_lever_arm"):
+        assert held(diagnosis, "reference_lever_arm", lever_x=lever, lever_y=ASIDE * lever)
+    if delay := sizes.get("reference_latency"):
+        assert held(diagnosis, "reference_latency", latency=delay)
+    if scale := sizes.get("radius_scale"):
+        assert held(diagnosis, "radius_scale", relative=scale)
+
+
+@pytest.mark.parametrize("sizes", [{"reference_lever_arm": 0.3, "radius_scale": -0.012}, {"reference_latency": 0.25}])
+def test_a_written_place_and_delay_leave_no_gap_on_other_drives(tmp_path: Path, sizes: dict[str, float]) -> None:
+    """Added to a course as an effect the same place left up to eight times the noise where drives reverse."""
+    campaign = driven(tmp_path / "one", sizes, 5)
+    file = applied_model(diagnose_in_full(campaign, plan=False), campaign)
+    (tmp_path / "model.json").write_bytes(file.to_bytes())
+    other = tmp_path / "other"
+    driven(other, sizes, 6)
+    left = diagnose(other / "free", model=tmp_path / "model.json").closure.channels
+    assert left and all(line.before_rms < ROOT_SPREAD * line.floor_rms for line in left)
+
+
+@pytest.mark.parametrize("effect", ["unequal_radii", ""])
+def test_positions_have_no_axes_to_be_turned(tmp_path: Path, effect: str) -> None:
+    """A course is taken from the positions themselves: a yaw beside it would be chance."""
+    diagnosis = diagnose_in_full(driven(tmp_path, {effect: 0.02} if effect else {}, 7), plan=False)
+    assert "reference_yaw" not in diagnosis.probabilities
+    assert [cause.effect for cause in diagnosis.causes] == ([effect] if effect else [])
+
+
+def test_a_place_is_added_to_the_stated_one_and_a_delay_to_the_wheels_times(tmp_path: Path) -> None:
+    """Counts of an even drive at the time before are those less the way driven since."""
+    campaign = driven(tmp_path, {}, 8)
+    campaign = replace(campaign, reference=Reference(sensor_x_m=0.1, sensor_y_m=-0.2, frame="map"))
+    placed = DisplacedSensor(np.array([0.3, 0.1]), np.zeros(2)).correct(campaign).reference
+    assert (placed.sensor_x_m, placed.sensor_y_m) == pytest.approx((0.4, -0.1))
+    even = 200.0 * campaign.logs.columns["t_s"]
+    campaign = replace(campaign, logs=replace(campaign.logs, columns={**campaign.logs.columns, "counts_left": even}))
+    moved = LateReference(np.array([0.12]), np.zeros(1)).correct(campaign).logs
+    late = moved.columns["t_s"] > 0.12
+    assert moved.columns["counts_left"][late] == pytest.approx(even[late] - 24.0)
+    assert np.array_equal(moved.columns["ref_x_m"], campaign.logs.columns["ref_x_m"])
