@@ -131,7 +131,8 @@ def _judged(
     effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
     offered, every = {effect.id for effect in effects}, effects
     effects, noise, base, searched = _searched(nominal, effects, progress)
-    for number in range(MOUNTINGS):
+    # what a simulator was run for is not made anew
+    for number in range(MOUNTINGS if candidates is None else 0):
         if mounted := sought.mounted(given, situation, searched, every, refine=number == 0):
             situation = sought.remounted(given, situation, mounted)
             known = {fault.effect.id for fault in mounted} - {ReferenceYaw.id}
