@@ -11,8 +11,18 @@ from typing import Final, get_type_hints
 
 import numpy as np
 
-from calib.campaign.checks import counts, design, measurements, poses, settings
-from calib.campaign.checks.design import SIDES, both_sides, implausible_column, implausible_setting, setting_note
+from calib.campaign import checks
+from calib.campaign.checks import (
+    SIDES,
+    both_sides,
+    counts,
+    implausible_column,
+    implausible_setting,
+    measurements,
+    poses,
+    setting_note,
+    settings,
+)
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 from calib.types import FloatArray, Progress, grouped, silent, split_suffix, stepped
@@ -34,9 +44,9 @@ def _taken_apart(campaign: Campaign) -> tuple[list[Note], Campaign]:
     step = np.diff(counts, prepend=0.0)
     counted = dict(zip(("counts_left", "counts_right"), np.where(step < 0, counts, step), strict=True))
     apart = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **counted}))
-    ratios = np.array([[design.raw_radius_ratio(one, side) for side in SIDES] for one in (campaign, apart)])
+    ratios = np.array([[checks.raw_radius_ratio(one, side) for side in SIDES] for one in (campaign, apart)])
     fitting = np.abs(np.log(np.abs(ratios))) < np.log(measurements.MOST_RATIO)
-    if len(campaign.runs) < design.LEAST_RUNS or fitting[0].mean() > 0.5 or fitting[1].mean() < design.MOST_OF_THE_RUNS:
+    if len(campaign.runs) < checks.LEAST_RUNS or fitting[0].mean() > 0.5 or fitting[1].mean() < checks.MOST_OF_THE_RUNS:
         return [], campaign
     text = """the counts are totals that grow from run to run; expected what each run counted, as their steps are; write
         the difference from the run before, at a counter's start the count itself"""
@@ -103,7 +113,7 @@ def _model(campaign: Campaign) -> Iterator[Note]:
     loads = both_sides(campaign, "load_{}_N")
     loads = loads[loads > 0]
     of_nominal = math.isclose(model.reference_load_N, campaign.vehicle.unladen_load_N, rel_tol=1e-5)
-    unstated = of_nominal and not design.stated(campaign, "vehicle.mass_kg")
+    unstated = of_nominal and not checks.stated(campaign, "vehicle.mass_kg")
     if len(loads) and not unstated and not 0.1 * loads.min() <= model.reference_load_N <= 10 * loads.max():
         text = f"""found {model.reference_load_N:g} N for wheel loads of {loads.min():g} to {loads.max():g} N; expected
             a load near these; check the unit (kN or kg?)"""
@@ -143,7 +153,7 @@ _SPANS = ("load_left_N", "load_right_N", "distance_m", "speed_mps", "temperature
 Check = Callable[[Campaign], Iterator[Note]]
 
 _IN_ORDER: Final[tuple[Check, ...]] = (
-    design.assumed_values, measurements.missing_values, measurements.distance_span,
+    checks.assumed_values, measurements.missing_values, measurements.distance_span,
     measurements.distance_against_log, poses.distance_against_pose,
     counts.reversed_wheels, counts.dead_counters, counts.count_scale, counts.counts_against_log,
     settings.late_logs, settings.counts_per_revolution, settings.log_clock, settings.heading_turns,
@@ -151,10 +161,10 @@ _IN_ORDER: Final[tuple[Check, ...]] = (
     settings.rounded_values, settings.copied_distances, settings.shifted_sessions,
     counts.swapped_wheels, counts.turn_direction, counts.clock, counts.count_jumps,
     counts.log_speed, counts.steered_by_itself, poses.lost_reference,
-    settings.far_from_line, design.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
+    settings.far_from_line, checks.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
     measurements.reference_load, poses.mirrored_ends, poses.turned_frame, poses.bearing_of_ends,
-    poses.stated_uncertainties, poses.track_against_bows, poses.gyro_against_reference, design.load_and_session,
-    design.columns_as_one, design.few_loads, model_against_vehicle, implausible,
+    poses.stated_uncertainties, poses.track_against_bows, poses.gyro_against_reference, checks.load_and_session,
+    checks.columns_as_one, checks.few_loads, model_against_vehicle, implausible,
 )  # fmt: skip
 #: name of a check -> function, in the order of the report
 CHECKS: Final[dict[str, Check]] = {check.__name__: check for check in _IN_ORDER}
@@ -219,7 +229,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckRepo
     notes = found + [note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded]
     if not len(kept.runs):
         text = f"all {len(excluded)} runs are flagged as excluded, so that nothing is left; clear those that are sound"
-        notes.append(design.column_note("excluded", text, "excluded_all", "wrong"))
+        notes.append(checks.column_note("excluded", text, "excluded_all", "wrong"))
     else:
         for check in stepped(CHECKS.values(), progress, "checks"):
             notes.extend(check(kept))
@@ -246,7 +256,7 @@ def _together(notes: Iterable[Note]) -> list[Note]:
     merged = []
     for of in grouped((note.text, note) for note in notes).values():
         names = list(dict.fromkeys(one.run_id or one.where for one in of))
-        merged.append(replace(of[0], where=f"runs {design.listed(names)}") if len(names) > 1 else of[0])
+        merged.append(replace(of[0], where=f"runs {checks.listed(names)}") if len(names) > 1 else of[0])
     return merged
 
 
@@ -275,7 +285,7 @@ def doubts(campaign: Campaign) -> Iterator[str]:
     """Yield what is suspicious of all runs' radii and loads alike, which moves a law and shows in no residual."""
     kept = _taken_apart(campaign.included())[1]
     # a radius that nobody stated says nothing of the counts
-    scale = ("count_scale",) if design.stated(kept, "vehicle.wheel_radius_m") else ()
+    scale = ("count_scale",) if checks.stated(kept, "vehicle.wheel_radius_m") else ()
     for name in (*scale, "counts_per_revolution", "loads_against_payload", "columns_as_one"):
         for note in CHECKS[name](kept):
             if (note.level, note.run_id) == ("suspicious", "") and _OF_ALL_RADII & {note.code, note.where}:
@@ -284,7 +294,7 @@ def doubts(campaign: Campaign) -> Iterator[str]:
 
 def assumed_notes(campaign: Campaign) -> tuple[str, ...]:
     """Return what nobody stated and results rest on."""
-    return tuple(note.sentence for note in design.assumed_values(campaign))
+    return tuple(note.sentence for note in checks.assumed_values(campaign))
 
 
 def runs_of_broken_counters(campaign: Campaign) -> tuple[str, ...]:

@@ -127,6 +127,20 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     return replace(campaign, encoder=encoder, odometry=Odometry(source), runs=counted, logs=logs)
 
 
+def turn_between_samples_rad(campaign: Campaign) -> FloatArray:
+    """Return how far the turn of each run is open, (n_runs,): its steering may move at any moment between two samples.
+
+    That moment is uniform, with a twelfth of the change's square; a step has the mean of both ends, and two of these
+    changes have half of the square.
+    """
+    source, square = odometry_source(campaign), np.zeros(len(campaign.runs))
+    for run, log in campaign.logs.each(2, *logged_columns(source)):
+        ahead, _, turn = _motion(campaign, campaign.model, source, log)
+        bent = np.divide(turn, ahead, out=np.zeros_like(turn), where=ahead != 0.0)
+        square[run] = float(np.nansum((np.diff(bent) * ahead[1:]) ** 2)) / 6.0
+    return np.sqrt(square)
+
+
 def _motion(campaign: Campaign, model: OdometryModel, source: str, log: Mapping[str, FloatArray]) -> Motion:
     encoder = campaign.encoder
     if source in STEERED:

@@ -31,7 +31,7 @@ GROUPS: Final[tuple[Group, ...]] = get_args(Group)
 SIGNALS: Final = (3.0, 5.0, 10.0, 25.0)
 _FORMAT: Final = "calib-challenge-seeds/1"
 _EXPECTED: Final = f"a whole number as seed, max_runs of 20 or more, and in [cases] counts of {', '.join(GROUPS)}"
-_REMEDY: Final = "compare with calib/challenge/seeds/development.toml"
+_REMEDY: Final = "see calib challenge make --help and the manual's page on challenges"
 _GROSS: Final = ("encoder_gross", "integration_scheme")
 
 _OUTSIDE: Final = [form.effect for form in ALL if form.effect.startswith("outside:")]

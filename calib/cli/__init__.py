@@ -132,7 +132,7 @@ SUMMARIES: Final = {
 #: group -> the example that its help shows
 GROUPS: Final = {
     "simulate": "Example: calib simulate study corrected --law sample_runs/corridor --output section7",
-    "challenge": "Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind",
+    "challenge": "Example: calib challenge make --seeds tests/challenge/seeds/development.toml --into blind",
     "fleet": "Example: calib fleet vehicles --into fleet --workers 2",
 }
 #: commands, those of a group with the group's name before theirs

@@ -55,7 +55,7 @@ def ingest(
         raise BadInputError(
             "--into: found no campaign folder to make; expected one; give --into FOLDER, or --describe to look first"
         )
-    from calib.campaign.checks.design import listed
+    from calib.campaign.checks import listed
     from calib.campaign.ingest import build
     from calib.documents import plain
 

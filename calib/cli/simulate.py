@@ -257,7 +257,7 @@ def make(
 ) -> None:
     """Make sealed cases: first the truth, in one file apart whose hash is stored, then the campaigns.
 
-    Example: calib challenge make --seeds calib/challenge/seeds/development.toml --into blind --cases 40
+    Example: calib challenge make --seeds tests/challenge/seeds/development.toml --into blind --cases 40
     """
     from calib.challenge import make
 

@@ -67,10 +67,10 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
     members = []
     for path in sorted(folder.iterdir()):
         try:
-            if not (path / SETTINGS).exists() and not (path / SETTINGS).is_symlink():
+            known = [name for name in (*(f"runs{suffix}" for suffix in READERS), SETTINGS) if (path / name).exists()]
+            if not known and not (path / SETTINGS).is_symlink():
                 continue
-            tables = (f"runs{suffix}" for suffix in READERS)
-            table = next((name for name in tables if (path / name).exists()), "runs.csv")
+            table = known[0] if known and known[0] != SETTINGS else "runs.csv"
             part = replace(_part(folder, f"{path.name}/{table}", path), whole=True)
         except OSError as error:
             part = Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=one_line(error))

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.design import listed, pasted_rows
+from calib.campaign.checks import listed, pasted_rows
 from calib.campaign.model import SIMULATED_POSE, Campaign
 from calib.campaign.settings import OdometryModel
 from calib.coefficients.sections import EffectSection

@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from calib.campaign.checks.design import pasted_rows
+from calib.campaign.checks import pasted_rows
 from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks.design import listed
+from calib.campaign.checks import listed
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import mecanum_model
 from calib.errors import RefusedError

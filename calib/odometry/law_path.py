@@ -16,8 +16,8 @@ from calib.odometry import poses as posing
 from calib.odometry import routes
 from calib.odometry.poses import COMPONENTS, POSE, PoseErrors, Poses, RandomWalk
 from calib.odometry.routes import Axle, Loading, Route, end_of_route, radii_under_load, wheel_travel
-from calib.radius.law import RadiusLaw, half_width
-from calib.types import FloatArray, IntArray, rows_of
+from calib.radius.law import RadiusLaw, half_width, shared_dof
+from calib.types import FloatArray, IntArray, floats, rows_of
 from calib.vehicle import Vehicle
 
 BANDS: Final = ("mean", "prediction")
@@ -226,7 +226,8 @@ def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[F
         variance.append(np.einsum("ni,ij,nj->n", contrast, spread[part, part], contrast))
         dof.append(wheel.dof_of(contrast, single_run=True))
     if law.joint is not None:
-        variance, dof = [np.einsum("ni,ij,nj->n", slopes, spread, slopes)], [np.minimum(*dof)]
+        dof = [shared_dof(np.stack(variance, axis=-1), np.stack(dof, axis=-1))]
+        variance = [np.einsum("ni,ij,nj->n", slopes, spread, slopes)]
     return np.column_stack(variance), np.column_stack(dof)
 
 
@@ -375,7 +376,8 @@ def _scatter(
         n = 3 if spread[2, :2].any() else 2
         sizes, axes = np.linalg.eigh(spread[:n, :n])
         root[:n, :n] = axes * np.sqrt(np.maximum(sizes, 0.0))
-        dof, of_scale = [min(dof), STATED_DOF][: 4 - n], np.arange(3) // n
+        together = float(shared_dof(np.diag(spread)[:2], floats(dof)))
+        dof, of_scale = [together, STATED_DOF][: 4 - n], np.arange(3) // n
     root = root[:, : len(of_scale)]
     scale = np.stack([np.sqrt(d / rng.chisquare(d, draws)) for d in dof])
     off = root @ (scale[of_scale] * rng.standard_normal((root.shape[1], draws)))

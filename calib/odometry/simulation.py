@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from calib.campaign.checks.design import SIDES
+from calib.campaign.checks import SIDES
 from calib.campaign.checks.measurements import off
 from calib.documents import Result, plain
 from calib.errors import DRAWN_PIECES, DRAWS, SIMULATED_POSES, BadInputError, refuse_more

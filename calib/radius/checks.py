@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
-from calib.campaign.checks.design import HIDING, along_load, partial_slope, way
+from calib.campaign.checks import HIDING, along_load, partial_slope, way
 from calib.radius import Groups, breusch_pagan, groups_of, moved_by, standing_out
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
 from calib.types import FloatArray, StrArray, few_digits

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.checks.design import off_line, turned_rad
+from calib.campaign.checks import off_line, turned_rad
 from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import SOURCE_NAMES, WHEEL_COLUMNS, odometry_source, without_rear_wheels

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.campaign.check import doubts, implausible, notes_for_results
-from calib.campaign.checks.design import HIDING, assumed_settings, listed, partial_slope
+from calib.campaign.checks import HIDING, assumed_settings, listed, partial_slope
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS

@@ -127,6 +127,12 @@ def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
     return float(scales[large] * brentq(beyond, 0.0, 2.0 * widest, xtol=1e-9))
 
 
+def shared_dof(variance: FloatArray, dof: FloatArray) -> FloatArray:
+    """Return the degrees of freedom of what was fitted together, each part's (..., k) weighted by its variance."""
+    weight = variance + 1e-300
+    return np.asarray(weight.sum(axis=-1) / (weight / dof).sum(axis=-1))
+
+
 def round_loads(low: float, high: float) -> FloatArray:
     """Return round loads above zero inside the range, else its ends."""
     for step in (100.0, 200.0, 500.0, 1000.0, 50.0, 20.0, 10.0, 5.0, 1.0):

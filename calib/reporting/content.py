@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from calib import __version__
-from calib.campaign.checks.design import assumed_settings
+from calib.campaign.checks import assumed_settings
 from calib.campaign.model import Campaign
 from calib.documents import plain_fields, to_json
 from calib.errors import BadInputError, RefusedError

@@ -25,7 +25,7 @@ from calib.reporting.figures.studies import board_figure, confusion_figure
 
 ROOT = Path(__file__).resolve().parents[2]
 FULL = {
-    "development": ROOT / "calib" / "challenge" / "seeds" / "development.toml",
+    "development": Path(__file__).parent / "seeds" / "development.toml",
     "scoring": Path(__file__).parent / "seeds" / "scoring.toml",
 }
 SMALL = """

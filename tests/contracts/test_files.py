@@ -95,7 +95,6 @@ def test_the_package_carries_what_it_needs_beside_code() -> None:
         "reporting/page.html.j2",
         "reporting/panels.js",
         "reporting/words.toml",
-        "challenge/seeds/development.toml",
     ):
         assert (PACKAGE / name).is_file(), name
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.campaign.checks.design import listed
+from calib.campaign.checks import listed
 from calib.campaign.model import Campaign
 from calib.gap.plan.planned_runs import joined
 from calib.kinematics.estimate import estimate_geometry

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks import design
+from calib.campaign import checks
 from calib.campaign.checks.measurements import factor_reason, odd_sessions
 from calib.campaign.checks.poses import POSITION_UNITS
 from calib.campaign.checks.settings import CLOCK_FACTORS
@@ -29,16 +29,16 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
     runs = campaign.runs
     # where its end pose is behind its start, the vehicle drove backward
     moved = (runs.number("distance_m") > 1.0) & ~(runs.number("ref_x_m") < 0.0)
-    backward = {side: (runs.number(f"counts_{side}") < 0) & moved for side in design.SIDES}
-    if whole := [side for side in design.SIDES if backward[side].sum() > design.MOST_OF_THE_RUNS * moved.sum()]:
+    backward = {side: (runs.number(f"counts_{side}") < 0) & moved for side in checks.SIDES}
+    if whole := [side for side in checks.SIDES if backward[side].sum() > checks.MOST_OF_THE_RUNS * moved.sum()]:
         text = f"""the {" and ".join(whole)} wheel counts backwards in {int(backward[whole[0]].sum())} runs that drive
             forward; negate the column, or correct the encoder's direction"""
-        yield design.column_note(", ".join(f"counts_{side}" for side in whole), text, "reversed_wheels")
-    for side in design.SIDES:
+        yield checks.column_note(", ".join(f"counts_{side}" for side in whole), text, "reversed_wheels")
+    for side in checks.SIDES:
         for run in np.flatnonzero(backward[side]) if side not in whole else ():
             text = f"""found {runs.number(f"counts_{side}")[run]:.0f}; expected positive counts, as in the other runs;
                 check whether the vehicle drove backward"""
-            yield design.cell_note(campaign, run, f"counts_{side}", text, "reversed_wheels")
+            yield checks.cell_note(campaign, run, f"counts_{side}", text, "reversed_wheels")
 
 
 def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
@@ -46,43 +46,43 @@ def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
     if (apart_m := steered_itself_m(campaign)) >= 0.0:
         text = f"""the wheels of all runs along a line rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems
             to have steered by its own counts, which hides what its radii differ by; measure ref_theta_rad at the end"""
-        yield design.column_note("counts_left, counts_right", text, "steered_by_itself")
+        yield checks.column_note("counts_left, counts_right", text, "steered_by_itself")
 
 
 def dead_counters(campaign: Campaign) -> Iterator[Note]:
     """Find wheels without a count while the vehicle moves."""
-    runs, turn, reference = campaign.runs, design.turned_rad(campaign), design.reference_turns(campaign)[0]
+    runs, turn, reference = campaign.runs, checks.turned_rad(campaign), checks.reference_turns(campaign)[0]
     otherwise = np.abs(turn - reference) > 0.5 * np.abs(turn)
     otherwise |= (runs.number("distance_m") > 1.0) & np.isnan(reference)
-    for side, other in (design.SIDES, design.SIDES[::-1]):
+    for side, other in (checks.SIDES, checks.SIDES[::-1]):
         counts = runs.number(f"counts_{other}")
         turned = np.abs(counts) > campaign.encoder.per_rev(other)
         dead = (runs.number(f"counts_{side}") == 0.0) & turned & otherwise
         remedy = "expected counts of both wheels; check encoder, cable and column, or exclude"
-        if dead.sum() > max(1.0, design.MOST_OF_THE_RUNS * turned.sum()):
+        if dead.sum() > max(1.0, checks.MOST_OF_THE_RUNS * turned.sum()):
             text = f"found 0 counts in {int(dead.sum())} runs in which the {other} wheel counts; {remedy} them"
-            yield design.column_note(f"counts_{side}", text, "dead_counter")
+            yield checks.column_note(f"counts_{side}", text, "dead_counter")
             continue
         for run in np.flatnonzero(dead):
             text = f"found 0 counts while the {other} wheel counts {counts[run]:.0f}; {remedy} the run"
-            yield design.cell_note(campaign, run, f"counts_{side}", text, "dead_counter")
+            yield checks.cell_note(campaign, run, f"counts_{side}", text, "dead_counter")
 
 
 def count_scale(campaign: Campaign) -> Iterator[Note]:
     """Find counts off by a factor, and overflowed totals."""
-    for side in design.SIDES:
-        ratio = np.abs(design.raw_radius_ratio(campaign, side))
+    for side in checks.SIDES:
+        ratio = np.abs(checks.raw_radius_ratio(campaign, side))
         if not (known := np.isfinite(ratio)).any():
             continue
         odd = known & (np.abs(ratio - 1) > _PLAUSIBLE)
         usual = float(np.nanmedian(ratio))
-        alike = design.robust_spread(ratio) < 0.02 * usual
-        if alike and abs(usual - 1) > _WORN and design.stated(campaign, "vehicle.wheel_radius_m"):
+        alike = checks.robust_spread(ratio) < 0.02 * usual
+        if alike and abs(usual - 1) > _WORN and checks.stated(campaign, "vehicle.wheel_radius_m"):
             odd = known
-        if alike and odd.sum() > design.MOST_OF_THE_RUNS * known.sum():
+        if alike and odd.sum() > checks.MOST_OF_THE_RUNS * known.sum():
             text = f"""the {side} wheel's radius is {usual:.4g} times the nominal one in nearly every run;
                 {factor_reason(usual)}"""
-            yield design.column_note(f"counts_{side}", text, "count_scale")
+            yield checks.column_note(f"counts_{side}", text, "count_scale")
             continue
         for run in np.flatnonzero(odd):
             yield _odd_run(campaign, int(run), side, float(ratio[run]))
@@ -97,16 +97,16 @@ def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
         if turns and abs(total) < full and abs(total + turns * full - expected) < 0.05 * expected:
             text = f"""found {total:.0f}; expected about {expected:.0f}; {abs(turns)} overflow(s) of a {bits}-bit
                 counter give this; give encoder.wrap_bits = {bits} to have them undone"""
-            return design.cell_note(campaign, run, f"counts_{side}", text, "wrapped_total")
+            return checks.cell_note(campaign, run, f"counts_{side}", text, "wrapped_total")
     text = f"""found {total:.0f}, a radius {ratio:.4g} times the nominal one; expected about {expected:.0f};
         {factor_reason(ratio)}"""
-    return design.cell_note(campaign, run, f"counts_{side}", text, "count_scale")
+    return checks.cell_note(campaign, run, f"counts_{side}", text, "count_scale")
 
 
 def counts_against_log(campaign: Campaign) -> Iterator[Note]:
     """Compare the table's counts with those of the log."""
-    logged = {side: log_totals(campaign.logs, f"counts_{side}") for side in design.SIDES}
-    for side, other in (design.SIDES, design.SIDES[::-1]):
+    logged = {side: log_totals(campaign.logs, f"counts_{side}") for side in checks.SIDES}
+    for side, other in (checks.SIDES, checks.SIDES[::-1]):
         table = campaign.runs.number(f"counts_{side}")
         allowed = np.maximum(5.0, 5e-5 * np.abs(table))
         for run in np.flatnonzero(np.abs(table - logged[side]) > allowed):
@@ -117,21 +117,21 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
             elif abs(found + log) <= allowed[run]:
                 hint, code = "the sign differs", "reversed_wheels"
             else:
-                hint = design.meaning(abs(log / found)) if found else ""
+                hint = checks.meaning(abs(log / found)) if found else ""
                 hint, code = hint or "the log may be cut, or belong to another run", "counts_disagree"
             text = f"found {found:.0f} in the table but {log:.0f} in the log; {hint}"
-            yield design.cell_note(campaign, run, f"counts_{side}", text, code)
+            yield checks.cell_note(campaign, run, f"counts_{side}", text, code)
 
 
 def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     """Find runs of which minus the logarithm of right over left counts fits the loads, and the logarithm does not."""
-    left, right = (campaign.runs.number(f"counts_{side}") / campaign.encoder.per_rev(side) for side in design.SIDES)
+    left, right = (campaign.runs.number(f"counts_{side}") / campaign.encoder.per_rev(side) for side in checks.SIDES)
     usable = np.flatnonzero((left > 0) & (right > 0) & (campaign.runs.number("distance_m") > 1.0))
     if len(usable) < 5:
         return
-    ratio, loads = np.log(right[usable] / left[usable]), design.both_sides(campaign, "load_{}_N")[:, usable].T
-    away = design.off_line(loads.sum(axis=1), design.off_line(loads[:, 0] - loads[:, 1], ratio))
-    fitted, spread = ratio - away, max(design.robust_spread(away), 2e-5)
+    ratio, loads = np.log(right[usable] / left[usable]), checks.both_sides(campaign, "load_{}_N")[:, usable].T
+    away = checks.off_line(loads.sum(axis=1), checks.off_line(loads[:, 0] - loads[:, 1], ratio))
+    fitted, spread = ratio - away, max(checks.robust_spread(away), 2e-5)
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
     for at in np.flatnonzero(mirrored):
         alike = ~(np.abs(loads - loads[at]) > _ALIKE * loads[at]).any(axis=1)
@@ -140,18 +140,18 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
         text = f"""right over left is {math.exp(ratio[at]):.5f}; expected {math.exp(fitted[at]):.5f}, as in the other
             runs; left and right look swapped; check this run (when it is ingested: swapped = [...] in the mapping's
             [log])"""
-        yield design.cell_note(campaign, usable[at], "counts_left, counts_right", text, "swapped_wheels")
+        yield checks.cell_note(campaign, usable[at], "counts_left, counts_right", text, "swapped_wheels")
 
 
 def turn_direction(campaign: Campaign) -> Iterator[Note]:
     """Compare the sense of turning by counts with reference heading and steering angle."""
-    turned, reference = design.turned_rad(campaign), design.reference_turns(campaign)[0]
+    turned, reference = checks.turned_rad(campaign), checks.reference_turns(campaign)[0]
     clear = (np.abs(reference) > 0.5) & (np.abs(turned) > 0.25)
     against = clear & (np.abs(turned + reference) < 0.3 * np.abs(turned - reference))
     yield from _turns(campaign, clear, against, "ref_theta_rad", "the reference turns the other way")
     agreement = np.zeros(len(campaign.runs))
     for run, log in campaign.logs.each(2, "steer_rad", "counts_left", "counts_right"):
-        rate = np.diff(design.turned_rad(campaign, log["counts_left"], log["counts_right"]))
+        rate = np.diff(checks.turned_rad(campaign, log["counts_left"], log["counts_right"]))
         angle = log["steer_rad"][1:]
         scale = np.sqrt(np.nansum(rate**2) * np.nansum(angle**2))
         if scale > 0 and np.nanmax(np.abs(angle)) > 0.1:
@@ -162,15 +162,15 @@ def turn_direction(campaign: Campaign) -> Iterator[Note]:
 
 def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str, what: str) -> Iterator[Note]:
     columns = f"counts_left, counts_right, {column}"
-    if against.sum() > max(1.0, design.MOST_OF_THE_RUNS * clear.sum()):
+    if against.sum() > max(1.0, checks.MOST_OF_THE_RUNS * clear.sum()):
         text = f"""in {int(against.sum())} of {int(clear.sum())} turning runs
-            ({design.listed(campaign.runs.run_id[against])}) {what}; left and right look swapped throughout, or the
+            ({checks.listed(campaign.runs.run_id[against])}) {what}; left and right look swapped throughout, or the
             reference counts clockwise"""
-        yield design.column_note(columns, text, "swapped_wheels")
+        yield checks.column_note(columns, text, "swapped_wheels")
         return
     for run in np.flatnonzero(against):
         text = f"{what} than the counts say; left and right look swapped in this run"
-        yield design.cell_note(campaign, int(run), columns, text, "swapped_wheels")
+        yield checks.cell_note(campaign, int(run), columns, text, "swapped_wheels")
 
 
 #: DAQ programs sample at up to 100 kHz; days taken for seconds are below
@@ -185,15 +185,15 @@ def clock(campaign: Campaign) -> Iterator[Note]:
         usual = float(np.median(step))
         if 0.0 < usual < SHORTEST_STEP_S:
             text = f"samples come every {usual:.3g} s, which no logger can; correct the unit of the times (ms, day)"
-            yield design.column_note("t_s", text, "sample_rate", "wrong", "logs")
+            yield checks.column_note("t_s", text, "sample_rate", "wrong", "logs")
             return
         if len(back := np.flatnonzero(step < 0)):
             text = f"""time runs backwards {len(back)} time(s), first in sample {back[0] + 2} by {-step[back[0]]:.4g} s;
                 the clock jumped or files were joined; check the logger"""
-            yield design.cell_note(campaign, run, "log t_s", text, "clock_jump")
+            yield checks.cell_note(campaign, run, "log t_s", text, "clock_jump")
         if still := int((step == 0).sum()):
             text = f"{still} sample(s) repeat the time of the one before"
-            yield design.cell_note(campaign, run, "log t_s", text, "repeated_time")
+            yield checks.cell_note(campaign, run, "log t_s", text, "repeated_time")
         if usual <= 0 or not len(long := np.flatnonzero(step > 3.5 * usual)):
             continue
         moved = np.sum([np.abs(np.diff(log[name])) for name in log if name.startswith("counts_")], axis=0)
@@ -205,18 +205,18 @@ def clock(campaign: Campaign) -> Iterator[Note]:
             text = f"""{len(gaps)} gap(s), {step[gaps].sum():.4g} s in all, the longest {step[gaps].max():.4g} s at
                 {time[gaps[np.argmax(step[gaps])]]:.4g} s, where samples come every {usual:.4g} s; counts go on, so
                 that totals hold, but the path in the gap is not known"""
-            uneven.append(design.cell_note(campaign, run, "log t_s", text, "gap"))
+            uneven.append(checks.cell_note(campaign, run, "log t_s", text, "gap"))
         if jumped:
             text = f"""the clock jumped {len(jumped)} time(s), first at {time[jumped[0]]:.4g} s by {step[jumped[0]]:.4g}
                 s, while the counts went on as in one sample; speeds of this log are not to be trusted"""
-            uneven.append(design.cell_note(campaign, run, "log t_s", text, "clock_jump"))
+            uneven.append(checks.cell_note(campaign, run, "log t_s", text, "clock_jump"))
     odd, n_logs = len({note.run_id for note in uneven}), int((campaign.logs.lengths >= 5).sum())
-    if odd < max(design.LEAST_RUNS, design.MOST_OF_THE_RUNS * n_logs):
+    if odd < max(checks.LEAST_RUNS, checks.MOST_OF_THE_RUNS * n_logs):
         yield from uneven
         return
     text = f"""samples of {odd} of {n_logs} logs come unevenly; does the logger write changes alone, or lose samples? In
         run {uneven[0].run_id} {uneven[0].text}"""
-    yield design.column_note("t_s", text, uneven[0].code, of="logs")
+    yield checks.column_note("t_s", text, uneven[0].code, of="logs")
 
 
 def count_jumps(campaign: Campaign) -> Iterator[Note]:
@@ -237,7 +237,7 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
                     cause = f"a {bits}-bit counter overflows so; give encoder.wrap_bits = {bits} to have them undone"
                 text = f"""{len(far)} jump(s), first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} are
                     usual; {cause}"""
-                yield design.cell_note(campaign, run, f"log {name}", text, "count_jump")
+                yield checks.cell_note(campaign, run, f"log {name}", text, "count_jump")
 
 
 #: speeds of vehicles, in m/s: slower ones are measured by no wheel, faster ones in no hall or yard
@@ -250,19 +250,19 @@ def _speed_note(speed: float) -> Iterator[Note]:
         units = (CLOCK_FACTORS if speed < low else {1.0 / 86400.0: "days"}).items()
         unit = next((f"is it in {unit}?" for factor, unit in units if low <= speed * factor <= high), "check its unit")
         text = f"the wheels drive at {speed:.2g} m/s; expected {low:g} to {high:g} m/s; {unit} Or check counts_per_rev"
-        yield design.column_note("t_s", text, "clock_unit", of="logs")
+        yield checks.column_note("t_s", text, "clock_unit", of="logs")
 
 
 def log_speed(campaign: Campaign) -> Iterator[Note]:
     """Compare the log's speed with the set speed, and with what vehicles drive at."""
-    campaign = design.on_axle(campaign)
+    campaign = checks.on_axle(campaign)
     speed = campaign.runs.number("speed_mps")
     ratios, driven = np.full(len(speed), np.nan), np.full(len(speed), np.nan)
     for run, log in campaign.logs.each(20, "counts_left"):
         stride = max(1, len(log["t_s"]) // 50)
         step = np.diff(log["t_s"][::stride])
         if (step > 0).all():
-            way = design.rolled_m(campaign, "left", log["counts_left"][::stride])
+            way = checks.rolled_m(campaign, "left", log["counts_left"][::stride])
             rates = np.abs(np.diff(way)) / step
             ratios[run] = np.median(rates) / speed[run] if speed[run] > 0 else np.nan
             # a wheel that stands jitters by a count
@@ -273,7 +273,7 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
     if known.any() and not 0.4 < (usual := float(np.median(ratios[known]))) < 1.6:
         hint = "km/h look like m/s; name the column speed_kmh" if 0.22 < usual < 0.34 else "check speed and clock"
         text = f"the logs drive at {usual:.3g} times the set speed; {hint}"
-        yield design.column_note("speed_mps", text, "speed_disagrees")
+        yield checks.column_note("speed_mps", text, "speed_disagrees")
 
 
 #: so often in a log, between steps alike to this share and of so many counts, a wheel does not stop and start at once
@@ -289,13 +289,13 @@ def interrupted_counts(campaign: Campaign) -> Iterator[Note]:
         for name in stops.keys() & log.keys():
             times, share = _interruptions(np.abs(np.diff(log[name])), log)
             stops[name] += [(times, share)] if times >= _STOPS else []
-    odd = [name for name in stops if len(stops[name]) >= max(design.LEAST_RUNS, design.MOST_OF_THE_RUNS * n_logs)]
+    odd = [name for name in stops if len(stops[name]) >= max(checks.LEAST_RUNS, checks.MOST_OF_THE_RUNS * n_logs)]
     if odd:
         times, share = np.median([each for name in odd for each in stops[name]], axis=0)
         text = f"""the counts stand still {times:.0f} times a log, for {100 * share:.2g} % of the way, in
             {max(len(stops[name]) for name in odd)} of {n_logs} logs, between samples at full speed; expected counts as
             long as it rolls; steps are lost before they are added up: check encoder and cable, log the total"""
-        yield design.implausible_column(", ".join(odd), text, of="logs")
+        yield checks.implausible_column(", ".join(odd), text, of="logs")
 
 
 def _interruptions(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int, float]:
@@ -330,17 +330,17 @@ _OF_A_DEGREE: Final = 1e-4
 
 def implausible_paths(campaign: Campaign) -> Iterator[Note]:
     """Yield positions in another unit or on a line, and two wheels with the same counts."""
-    campaign = design.on_axle(campaign)
+    campaign = checks.on_axle(campaign)
     ratios, lines, alike = np.full(len(campaign.runs), np.nan), [], []
     columns = ("ref_x_m", "ref_y_m", "counts_left", "counts_right")
     for run, log in campaign.logs.each(2, *columns):
         x, y, left, right = (log[name] for name in columns)
         known = np.flatnonzero(np.isfinite(x + y + left + right))
-        if len(known) < design.LEAST_RUNS:
+        if len(known) < checks.LEAST_RUNS:
             continue
         at = known[:: 1 + len(known) // _STEPS]
-        position, turned = (x + 1j * y)[at], design.turned_rad(campaign, left[at], right[at])
-        wheels = np.diff([design.rolled_m(campaign, side, log[f"counts_{side}"][at]) for side in design.SIDES])
+        position, turned = (x + 1j * y)[at], checks.turned_rad(campaign, left[at], right[at])
+        wheels = np.diff([checks.rolled_m(campaign, side, log[f"counts_{side}"][at]) for side in checks.SIDES])
         rolled = wheels.mean(axis=0)
         # in turns on the spot the reference moves, the axle does not
         straight = (np.abs(np.diff(turned)) < _STRAIGHT_RAD) & (np.abs(rolled) > 0.5 * np.abs(wheels).max())
@@ -356,24 +356,24 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
         ("ref_x_m, ref_y_m", lines, "positions on a line", "is one the vertical axis, or both one column?"),
         ("counts_left, counts_right", alike, "the same counts of both wheels", "are both one column?"),
     ):
-        if sum(odd) >= max(design.LEAST_RUNS, design.MOST_OF_THE_RUNS * len(odd)):
+        if sum(odd) >= max(checks.LEAST_RUNS, checks.MOST_OF_THE_RUNS * len(odd)):
             text = f"found {what} in {sum(odd)} runs that turn; expected each its own; {hint}"
-            yield design.implausible_column(names, text, of="logs")
+            yield checks.implausible_column(names, text, of="logs")
             return
-    stated = all(design.stated(campaign, key) for key in ("vehicle.wheel_radius_m", "encoder.counts_per_rev"))
+    stated = all(checks.stated(campaign, key) for key in ("vehicle.wheel_radius_m", "encoder.counts_per_rev"))
     known = ratios[np.isfinite(ratios)]
-    ratio = float(np.median(known)) if stated and len(known) >= design.LEAST_RUNS else 1.0
+    ratio = float(np.median(known)) if stated and len(known) >= checks.LEAST_RUNS else 1.0
     if ratio > _MOST_RATIO or 0.0 < ratio < _LEAST_RATIO:
-        unit = design.meaning(ratio, POSITION_UNITS)
+        unit = checks.meaning(ratio, POSITION_UNITS)
         unit = "degrees of latitude and longitude" if ratio < _OF_A_DEGREE else unit
         hint = f"are they in {unit}?" if unit else "check their unit, wheel_radius_m and counts_per_rev"
         text = f"positions along the path move {ratio:.3g} times as far as the wheels; expected as far; {hint}"
-        yield design.implausible_column("ref_x_m, ref_y_m", text, of="logs")
+        yield checks.implausible_column("ref_x_m, ref_y_m", text, of="logs")
     for name, ratio in odd_sessions(campaign, ratios):
-        unit = design.meaning(ratio, POSITION_UNITS)
+        unit = checks.meaning(ratio, POSITION_UNITS)
         hint = f"are they in {unit}?" if unit else factor_reason(ratio)
         text = f"in session {name} positions along the path move {ratio:.3g} times as far as in most runs; {hint}"
-        yield design.implausible_column("ref_x_m, ref_y_m", text, of="logs")
+        yield checks.implausible_column("ref_x_m, ref_y_m", text, of="logs")
 
 
 def _length_and_width(path: ComplexArray) -> FloatArray:

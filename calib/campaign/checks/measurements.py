@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks import design
-from calib.campaign.checks.design import LEAST_RUNS, implausible_column
+from calib.campaign import checks
+from calib.campaign.checks import LEAST_RUNS, implausible_column
 from calib.campaign.checks.settings import MOST_ODD
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import GYRO_TURN, loads_from_payload
@@ -27,31 +27,31 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
         lacking = np.isnan(runs.number(name)) if source == "rear" else np.asarray([name not in log for log in logged])
         if lacking.any():
             what = "counts in table or log" if source == "rear" else f"{name} in their log"
-            runs_lacking = design.listed(runs.run_id[lacking])
+            runs_lacking = checks.listed(runs.run_id[lacking])
             text = f"{int(lacking.sum())} run(s) have no {what} ({runs_lacking}); they cannot be used"
-            yield design.column_note(name, text, "missing_counts", of="runs" if source == "rear" else "logs")
+            yield checks.column_note(name, text, "missing_counts", of="runs" if source == "rear" else "logs")
     trajectory = np.asarray(["ref_x_m" in log for log in logged])
     unmeasured = [np.isnan(runs.number(name)) for name in ("distance_m", "ref_x_m", "ref_theta_rad", GYRO_TURN)]
     if len(lacking := runs.run_id[np.all(unmeasured, axis=0) & ~trajectory]):
         text = f"""{len(lacking)} run(s) have neither a distance nor a reference pose
-            ({design.listed(lacking)}); nothing can be learnt from them. A reference on another clock needs lag_s in the
+            ({checks.listed(lacking)}); nothing can be learnt from them. A reference on another clock needs lag_s in the
             mapping"""
-        yield design.column_note("distance_m", text, "missing_distance")
+        yield checks.column_note("distance_m", text, "missing_distance")
 
 
 def distance_span(campaign: Campaign) -> Iterator[Note]:
     """Find distances that a rangefinder cannot have measured."""
     distance = campaign.runs.number("distance_m")
     low, high = campaign.rangefinder.min_m, campaign.rangefinder.max_m
-    ratio = design.raw_radius_ratio(campaign, "left")
+    ratio = checks.raw_radius_ratio(campaign, "left")
     for run in np.flatnonzero(distance <= 0):
         text = f"found {distance[run]:g} m; expected a positive distance; correct it or flag the run as excluded"
-        yield design.cell_note(campaign, run, "distance_m", text, "distance_span", "wrong")
+        yield checks.cell_note(campaign, run, "distance_m", text, "distance_span", "wrong")
     for run in np.flatnonzero((distance > 0) & ((distance < low) | (distance > high))):
         hint = "name the column distance_mm" if high < distance[run] <= 1e3 * high < 1e6 else ""
-        hint = design.meaning(ratio[run]) or hint or "check the cell, or give rangefinder.min_m and max_m"
+        hint = checks.meaning(ratio[run]) or hint or "check the cell, or give rangefinder.min_m and max_m"
         text = f"found {distance[run]:g} m; the rangefinder measures {low:g} to {high:g} m; {hint}"
-        yield design.cell_note(campaign, run, "distance_m", text, "distance_span")
+        yield checks.cell_note(campaign, run, "distance_m", text, "distance_span")
 
 
 def distance_against_log(campaign: Campaign) -> Iterator[Note]:
@@ -62,10 +62,10 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
         known = log["range_m"][np.isfinite(log["range_m"])]
         if len(outside := known[(known < -0.5) | (known > campaign.rangefinder.max_m)]):
             text = f"{len(outside)} sample(s) lie outside the rangefinder's span, the first at {outside[0]:g} m"
-            yield design.cell_note(campaign, run, "log range_m", text, "distance_span")
+            yield checks.cell_note(campaign, run, "log range_m", text, "distance_span")
         if min(abs(distance[run] - known[-1]), abs(distance[run] - (known[-1] - known[0]))) > allowed:
             text = f"found {distance[run]:.4f} m; the log ends at {known[-1]:.4f} m; the log may be cut"
-            yield design.cell_note(campaign, run, "distance_m", text, "distance_disagrees")
+            yield checks.cell_note(campaign, run, "distance_m", text, "distance_disagrees")
 
 
 #: a measured radius, track or load is within this factor of its nominal value
@@ -79,13 +79,13 @@ def off(ratio: float) -> bool:
 
 def factor_reason(ratio: float) -> str:
     """Return the unit or setting that a ratio of radii points to."""
-    text = design.meaning(ratio)
+    text = checks.meaning(ratio)
     return f"{text}?" if text else "check counts_per_rev, wheel_radius_m and the unit of the distance"
 
 
 def odd_sessions(campaign: Campaign, ratio: FloatArray) -> Iterator[tuple[str, float]]:
     """Yield sessions whose ratios are off those of all runs, shape (n_runs,), and by what factor."""
-    for name, runs in design.groups_of(campaign.runs.label("session")):
+    for name, runs in checks.groups_of(campaign.runs.label("session")):
         there = ratio[runs][ratio[runs] > 0.0]
         if len(there) >= LEAST_RUNS and off(factor := float(np.median(there) / np.median(ratio[ratio > 0.0]))):
             yield name, factor
@@ -94,14 +94,14 @@ def odd_sessions(campaign: Campaign, ratio: FloatArray) -> Iterator[tuple[str, f
 def implausible_distances(campaign: Campaign) -> Iterator[Note]:
     """Yield radii that no wheel has, and distances that do not fit their counts."""
     distance = campaign.runs.number("distance_m")
-    counts = dict(zip(design.SIDES, design.both_sides(campaign, "counts_{}"), strict=True))
-    for side, other in (design.SIDES, design.SIDES[::-1]):
+    counts = dict(zip(checks.SIDES, checks.both_sides(campaign, "counts_{}"), strict=True))
+    for side, other in (checks.SIDES, checks.SIDES[::-1]):
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.abs(distance / design.rolled_m(campaign, side))
+            ratio = np.abs(distance / checks.rolled_m(campaign, side))
         good = np.isfinite(ratio) & (ratio > 0)
         if good.sum() >= LEAST_RUNS:
             usual = float(np.median(ratio[good]))
-            if off(usual) and design.stated(campaign, "vehicle.wheel_radius_m"):
+            if off(usual) and checks.stated(campaign, "vehicle.wheel_radius_m"):
                 text = f"the {side} wheel's radius comes out {usual:.2f} times nominal: {factor_reason(usual)}"
                 yield implausible_column(f"counts_{side}", text)
             for name, factor in odd_sessions(campaign, np.where(good, ratio, np.nan)):
@@ -124,12 +124,12 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
 
 
 def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: str, load: FloatArray) -> Iterator[Note]:
-    spread = design.robust_spread(design.off_line(load, radius))
+    spread = checks.robust_spread(checks.off_line(load, radius))
     if len(radius) < 3 or spread < 0.01:
         return
     for shift in (1, -1):
         moved = (np.roll(distance, shift) - distance)[good] + radius
-        again = design.robust_spread(design.off_line(load, moved)[1:-1])
+        again = checks.robust_spread(checks.off_line(load, moved)[1:-1])
         if again < 0.2 * spread and np.isfinite(moved[1:-1]).sum() > 2:
             text = f"""the {side} wheel's radius scatters by {100 * spread:.2g} %, but by {100 * again:.2g} % with each
                 distance one row on; expected distance and counts of the same run in a row; is the column shifted?"""
@@ -146,24 +146,24 @@ _LOADS: Final = ", ".join(WHEEL_LOADS)
 
 def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     """Find loads that no rolling wheel has, or beyond the permitted one."""
-    loads, permitted = design.both_sides(campaign, "load_{}_N"), campaign.vehicle.max_wheel_load_N
-    if permitted == Vehicle().max_wheel_load_N and not design.stated(campaign, "vehicle.mass_kg"):
+    loads, permitted = checks.both_sides(campaign, "load_{}_N"), campaign.vehicle.max_wheel_load_N
+    if permitted == Vehicle().max_wheel_load_N and not checks.stated(campaign, "vehicle.mass_kg"):
         # of a vehicle that nobody described
         if (most := float(np.nanmax(loads, initial=0.0))) > permitted:
             text = f"loads of up to {most:.5g} N are more than the {permitted:g} N that nobody stated; give your own"
-            yield design.setting_note("vehicle.max_wheel_load_N", text, "excess_load")
+            yield checks.setting_note("vehicle.max_wheel_load_N", text, "excess_load")
         permitted = np.inf
     for name, load in zip(WHEEL_LOADS, loads, strict=True):
         for run in np.flatnonzero(load <= 0):
             text = f"found {load[run]:.4g} N; expected more than 0, or the wheel lifts off; check payload and place"
-            yield design.cell_note(campaign, run, name, text, "impossible_load", "wrong")
+            yield checks.cell_note(campaign, run, name, text, "impossible_load", "wrong")
         for run in np.flatnonzero(load > permitted):
             text = f"found {load[run]:.5g} N; {permitted:g} N is permitted; check the unit (kg or kN in a column of N?)"
-            yield design.cell_note(campaign, run, name, text, "excess_load")
+            yield checks.cell_note(campaign, run, name, text, "excess_load")
     if len(lacking := campaign.runs.run_id[np.isnan(loads.sum(axis=0))]):
         text = f"""{len(lacking)} run(s) have no wheel load and no payload with its place to compute it from
-            ({design.listed(lacking)})"""
-        yield design.column_note(_LOADS, text, "missing_load")
+            ({checks.listed(lacking)})"""
+        yield checks.column_note(_LOADS, text, "missing_load")
 
 
 #: so many spreads off that line are no scatter of the payload's place
@@ -185,82 +185,82 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     runs = campaign.runs
     if "payload_kg" not in runs.numbers:
         return
-    weighed = design.both_sides(campaign, "load_{}_N")
-    if not design.stated(campaign, "vehicle.mass_kg"):
+    weighed = checks.both_sides(campaign, "load_{}_N")
+    if not checks.stated(campaign, "vehicle.mass_kg"):
         yield from _unit_by_payload(runs.number("payload_kg"), weighed.sum(axis=0))
     computed = np.stack(loads_from_payload(campaign.vehicle, runs))
     allowed = _allowed(computed.sum(axis=0))
     off = np.asarray((np.abs(weighed - computed) > allowed).any(axis=0))
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
     more, known = (weighed.sum(axis=0) > computed.sum(axis=0))[off], np.isfinite(weighed + computed).all(axis=0)
-    whole = off.sum() > max(3, design.MOST_OF_THE_RUNS * known.sum())
+    whole = off.sum() > max(3, checks.MOST_OF_THE_RUNS * known.sum())
     whole |= len(more) >= _TO_ONE_SIDE and more.mean() in {0.0, 1.0}
     of = off if whole else known & (computed > 0.0).all(axis=0)
     ratios = (weighed / computed)[:, of]
-    alike = design.stated(campaign, "vehicle.mass_kg") and not off.any() and of.sum() >= design.LEAST_OF_A_LINE
-    spreads = (_LOAD_SPREADS * design.robust_spread(ratio) for ratio in ratios)
+    alike = checks.stated(campaign, "vehicle.mass_kg") and not off.any() and of.sum() >= checks.LEAST_OF_A_LINE
+    spreads = (_LOAD_SPREADS * checks.robust_spread(ratio) for ratio in ratios)
     if whole or (alike and (np.abs(np.median(ratios, axis=1) - 1.0) > np.maximum(_STATICS, [*spreads])).any()):
-        hint, code = _SWAPPED if swapped.sum() > design.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
+        hint, code = _SWAPPED if swapped.sum() > checks.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
         left, right = np.median(ratios, axis=1)
-        text = f"""in {ratios.shape[1]} runs ({design.listed(runs.run_id[of])}) left and right loads are {left:.4g} and
+        text = f"""in {ratios.shape[1]} runs ({checks.listed(runs.run_id[of])}) left and right loads are {left:.4g} and
             {right:.4g} times those of vehicle and payload; {hint}"""
-        yield design.column_note(f"{_LOADS}, payload_kg", text, code, "suspicious" if whole else "info")
+        yield checks.column_note(f"{_LOADS}, payload_kg", text, code, "suspicious" if whole else "info")
         return
     for run in np.flatnonzero(off):
         hint, code = _SWAPPED if swapped[run] else _CONTRADICTED
         text = f"""found {weighed[0, run]:.0f} and {weighed[1, run]:.0f} N; vehicle and payload ask for
             {computed[0, run]:.0f} and {computed[1, run]:.0f} N; {hint}"""
-        yield design.cell_note(campaign, run, _LOADS, text, code)
+        yield checks.cell_note(campaign, run, _LOADS, text, code)
     yield from _off_the_line(campaign, np.where(np.isfinite(computed.sum(axis=0)), np.nan, weighed.sum(axis=0)))
 
 
 def _unit_of_shares(shares: FloatArray) -> str:
     low, high = _REAR_SHARE
     for factor in (1.0 / GRAVITY_MPS2, GRAVITY_MPS2) if len(shares) else ():
-        if np.mean(np.abs(shares / factor - 0.5 * (low + high)) <= 0.5 * (high - low)) > design.MOST_OF_THE_RUNS:
-            return design.meaning(factor, _LOAD_UNITS)
+        if np.mean(np.abs(shares / factor - 0.5 * (low + high)) <= 0.5 * (high - low)) > checks.MOST_OF_THE_RUNS:
+            return checks.meaning(factor, _LOAD_UNITS)
     return ""
 
 
 def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
     known = np.isfinite(payload + total)
-    slopes = design.slopes_of(payload[known], total[known])
+    slopes = checks.slopes_of(payload[known], total[known])
     if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
         text = f"""each kg of payload adds {np.median(slopes):.3g} N to both wheels in sum; expected
             {_REAR_SHARE[0] * GRAVITY_MPS2:.2g} to {GRAVITY_MPS2:g} N; are they in {unit}?"""
-        yield design.column_note(f"{_LOADS}, payload_kg", text, "load_unit")
+        yield checks.column_note(f"{_LOADS}, payload_kg", text, "load_unit")
 
 
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     payload = campaign.runs.number("payload_kg")
     runs = np.flatnonzero(np.isfinite(total + payload))
-    if len(runs) < design.LEAST_OF_A_LINE:
+    if len(runs) < checks.LEAST_OF_A_LINE:
         return
-    away = design.off_line(payload[runs], total[runs])
+    away = checks.off_line(payload[runs], total[runs])
     expected = total.copy()
     expected[runs] -= away
-    far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * design.robust_spread(away))
+    far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * checks.robust_spread(away))
     kept = payload[runs[~far]]
     for run in runs[far] if far.sum() <= MOST_ODD * len(runs) else ():
         # the line is not known beyond the others' payloads
         if kept.min() <= payload[run] <= kept.max():
             text = f"""found {total[run]:.0f} N on both wheels with {payload[run]:g} kg; the other runs ask for
                 {expected[run]:.0f} N; check payload_kg and the weighing: it may be the load of another run"""
-            yield design.cell_note(campaign, int(run), f"{_LOADS}, payload_kg", text, "contradicted_load")
+            yield checks.cell_note(campaign, int(run), f"{_LOADS}, payload_kg", text, "contradicted_load")
 
 
 def reference_load(campaign: Campaign) -> Iterator[Note]:
     """Find a reference load that is none of those driven or usual."""
-    loads, found = design.both_sides(campaign, "load_{}_N"), campaign.model.reference_load_N
+    loads, found = checks.both_sides(campaign, "load_{}_N"), campaign.model.reference_load_N
     loads = loads[np.isfinite(loads)]
-    if not design.stated(campaign, "model.reference_load_N") or not len(loads):
+    if not checks.stated(campaign, "model.reference_load_N") or not len(loads):
         return
     usual = np.array([campaign.vehicle.unladen_load_N, loads.mean(), *np.unique(loads)])
     if np.abs(usual - found).min() > _SAME_LOAD * found:
         text = f"""found {found:g} N; expected the load of the empty vehicle ({usual[0]:.4g} N), one that was driven
             ({loads.min():.4g} to {loads.max():.4g} N) or their mean; radii are stated at this load, and differ from
             those stated at another by the slope times the difference; check the value"""
-        yield design.setting_note("model.reference_load_N", text, "reference_load", "info")
+        yield checks.setting_note("model.reference_load_N", text, "reference_load", "info")
 
 
 #: reference loads within this share are one: scales and rounding
@@ -289,10 +289,10 @@ _LOAD_UNITS: Final = (
 def implausible_loads(campaign: Campaign) -> Iterator[Note]:
     """Yield loads below zero, in another unit, or not those of their payload."""
     runs, vehicle = campaign.runs, campaign.vehicle
-    weighed, computed = design.both_sides(campaign, "load_{}_N"), np.stack(loads_from_payload(vehicle, runs))
+    weighed, computed = checks.both_sides(campaign, "load_{}_N"), np.stack(loads_from_payload(vehicle, runs))
     total, expected = weighed.sum(axis=0), computed.sum(axis=0)
     good = np.isfinite(total) & (total > 0)
-    if not design.stated(campaign, "vehicle.mass_kg") or not good.any():
+    if not checks.stated(campaign, "vehicle.mass_kg") or not good.any():
         return
     by_payload = good & (expected > 0)
     if by_payload.sum() >= LEAST_RUNS:
@@ -326,7 +326,7 @@ def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray
     found = float(np.median(total[empty]) if empty.any() else total[good].min())
     share = found / (vehicle.mass_kg * GRAVITY_MPS2)
     ratio, least, what = share, _REAR_SHARE[0], "the weight of the empty vehicle"
-    known = all(design.stated(campaign, f"vehicle.{key}") for key in ("cog_x_m", "wheelbase_m"))
+    known = all(checks.stated(campaign, f"vehicle.{key}") for key in ("cog_x_m", "wheelbase_m"))
     if known and vehicle.unladen_load_N > 0:
         ratio, least, what = found / (2.0 * vehicle.unladen_load_N), _LIGHTEST, "that of the empty vehicle"
     if ratio < least or (empty.any() and ratio > 1.0 / _LIGHTEST):
@@ -334,14 +334,14 @@ def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray
 
 
 def _in_another_unit(columns: str, ratio: float, what: str, unit: str = "") -> Note:
-    hint = unit or design.meaning(ratio, _LOAD_UNITS, 0.25)
+    hint = unit or checks.meaning(ratio, _LOAD_UNITS, 0.25)
     hint = f"are they in {hint}?" if hint else "check their unit, mass_kg, cog_x_m and wheelbase_m"
     expected = "a fifth of it to all of it" if "weight" in what else "the same within a factor of 2"
     return implausible_column(columns, f"the wheel loads are {ratio:.3g} times {what}; expected {expected}; {hint}")
 
 
 def _one_side(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
-    for side, load, expected in zip(design.SIDES, weighed, computed, strict=True):
+    for side, load, expected in zip(checks.SIDES, weighed, computed, strict=True):
         good = (load > 0) & (expected > 0)
         ratio = float(np.median(load[good] / expected[good])) if good.sum() >= LEAST_RUNS else 1.0
         if not 0.1 <= ratio <= 10:
@@ -368,7 +368,7 @@ def _swapped_loads(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
     found, expected = weighed[0] - weighed[1], computed[0] - computed[1]
     good = np.isfinite(found) & (np.abs(expected) > 0.1 * np.abs(computed.sum(axis=0)))
     opposite = found[good] / expected[good] < -0.5
-    if good.sum() >= LEAST_RUNS and opposite.mean() > design.MOST_OF_THE_RUNS:
+    if good.sum() >= LEAST_RUNS and opposite.mean() > checks.MOST_OF_THE_RUNS:
         text = f"""in {int(opposite.sum())} of {int(good.sum())} runs with the payload on one side the other wheel
             carries more; expected the wheel beside it to; are the loads swapped, or is payload_y_m positive to the
             right?"""

@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks import design
-from calib.campaign.checks.design import LEAST_RUNS, column_note, implausible_column, robust_spread, rolled_m
+from calib.campaign import checks
+from calib.campaign.checks import LEAST_RUNS, column_note, implausible_column, robust_spread, rolled_m
 from calib.campaign.checks.measurements import off
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
 from calib.campaign.wheels import ASIDE
@@ -72,7 +72,7 @@ def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
     for run in np.flatnonzero(np.abs(apart) > max(_OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN * allowed)):
         text = f"""found {distance[run]:.4g} m with an end pose {distance[run] - longer[run]:.4g} m away,
             {apart[run]:+.3g} m against the other straight runs; do distance and end pose belong to the same run?"""
-        yield design.cell_note(campaign, run, "distance_m", text, "pose_of_another_run")
+        yield checks.cell_note(campaign, run, "distance_m", text, "pose_of_another_run")
 
 
 def _longer(campaign: Campaign, most: float) -> FloatArray:
@@ -85,7 +85,7 @@ def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < _LEAST_STRAIGHT_RUNS:
         return
-    for name, members in (("", known), *design.groups_of(session[known])):
+    for name, members in (("", known), *checks.groups_of(session[known])):
         found = values[known[members]] if name else values[known]
         if len(found) < LEAST_RUNS:
             continue
@@ -120,7 +120,7 @@ def _bows(campaign: Campaign) -> _Bows:
 
 def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
     log = campaign.logs.of(run)
-    left, right = (rolled_m(campaign, side, log[f"counts_{side}"] - log[f"counts_{side}"][0]) for side in design.SIDES)
+    left, right = (rolled_m(campaign, side, log[f"counts_{side}"] - log[f"counts_{side}"][0]) for side in checks.SIDES)
     along = (left + right) / 2
     if not np.isfinite(along).all() or along[-1] <= 0.0:
         return math.nan
@@ -152,7 +152,7 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
     hint = f"is the track {track / ratio:.3g} m?" if 0.5 < ratio < 2.0 else "check track_m and the reference's frame"
     text = f"""{len(offset)} straight runs bow out {ratio:.3g} times as far as their counts say with a track of
         {track:g} m (standard error {error:.2g}); expected the same within {100 * _TRACK_TOLERANCE:g} %; {hint}"""
-    yield design.setting_note("vehicle.track_m", text, "track_against_bows")
+    yield checks.setting_note("vehicle.track_m", text, "track_against_bows")
 
 
 def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
@@ -163,7 +163,7 @@ def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
         (("rangefinder.sigma_m", "reference.sigma_xy_m"), longer[np.isfinite(longer)], sigma_m, "m"),
         (("reference.sigma_theta_rad",), _aside_rad(campaign)[1], reference.sigma_theta_rad, "rad"),
     ):
-        if len(values) < _LEAST_STRAIGHT_RUNS or not all(design.stated(campaign, name) for name in names):
+        if len(values) < _LEAST_STRAIGHT_RUNS or not all(checks.stated(campaign, name) for name in names):
             continue
         scatter = robust_spread(values)
         # no floor is even: headings scatter by more than the reference's share
@@ -172,7 +172,7 @@ def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
             most = _UNDERSTATED if understated else _OVERSTATED
             text = f"""found {sigma:.2g} {unit} in all, while {len(values)} straight runs scatter by {scatter:.2g}
                 {unit}; expected the same within {most:g} times; check the unit and the value"""
-            yield design.setting_note(" and ".join(names), text, "stated_uncertainties")
+            yield checks.setting_note(" and ".join(names), text, "stated_uncertainties")
 
 
 def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
@@ -184,7 +184,7 @@ def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
 
 def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
     """Find straight runs that end aside of their start heading."""
-    runs, turned = campaign.runs, design.turned_rad(campaign)
+    runs, turned = campaign.runs, checks.turned_rad(campaign)
     x, y, distance = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "distance_m"))
     away = np.hypot(x, y)
     straight = ~runs.excluded & (distance > 1.0) & (np.abs(turned) < _MOST_BEARING_RAD)
@@ -256,7 +256,7 @@ _LOST_M, _SLIP, _LOST_SIGMAS, _UNUSUAL = 0.05, 1.5, 15.0, 4.0
 
 def lost_reference(campaign: Campaign) -> Iterator[Note]:
     """Find positions along the path that stand still while the wheels roll, or leap further than these carry them."""
-    campaign = design.on_axle(campaign)
+    campaign = checks.on_axle(campaign)
     vehicle, sensor = campaign.vehicle, campaign.reference
     least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
     # from the axle's middle to the sensor, wherever on the vehicle, in tracks
@@ -264,7 +264,7 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
     for run, log in campaign.logs.each(20, "ref_x_m", "ref_y_m", "counts_left", "counts_right"):
         position = log["ref_x_m"] + 1j * log["ref_y_m"]
         known = np.flatnonzero(np.isfinite(position))
-        left, right = (rolled_m(campaign, side, log[f"counts_{side}"][known]) for side in design.SIDES)
+        left, right = (rolled_m(campaign, side, log[f"counts_{side}"][known]) for side in checks.SIDES)
         way = (left + right) / 2 + 1j * log.get(ASIDE, 0.0 * log["t_s"])[known]
         # each value of the reference, from its first sample to that after its last
         first = np.append(0, np.flatnonzero(np.diff(position[known])) + 1)
@@ -283,12 +283,12 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
             text = f"""the position does not follow the wheels {far.sum()} time(s), most from {begin:.4g} to
                 {end:.4g} s: it {what}, by {few_digits(off_m[at])} m; lost or hidden? Empty these cells, or exclude the
                 run"""
-            yield design.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
+            yield checks.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
 
 
 def implausible_poses(campaign: Campaign) -> Iterator[Note]:
     """Yield end poses and headings in another unit."""
-    campaign = design.on_axle(campaign)
+    campaign = checks.on_axle(campaign)
     runs, own_frame = campaign.runs, campaign.reference.frame != "map"
     theta, measured = (runs.number(name) for name in ("ref_theta_rad", "distance_m"))
     x, y = _ends_m(campaign)
@@ -304,10 +304,10 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
         straight = good & np.isfinite(measured) & (np.abs(y) < 0.2 * np.abs(x))
         ratio = float(np.median(away[straight] / distance[straight])) if straight.sum() >= LEAST_RUNS else 1.0
         expected = "the distance"
-        if far.sum() > max(design.MOST_OF_THE_RUNS * beyond.sum(), LEAST_RUNS - 1):
+        if far.sum() > max(checks.MOST_OF_THE_RUNS * beyond.sum(), LEAST_RUNS - 1):
             ratio, expected = float(np.median(away[far] / distance[far])), "the distance at most"
         if off(ratio):
-            unit = "millimetres" if ratio > 300 else design.meaning(ratio, POSITION_UNITS)
+            unit = "millimetres" if ratio > 300 else checks.meaning(ratio, POSITION_UNITS)
             text = f"""the end poses lie {ratio:.3g} times as far away as was driven; expected {expected};
                 {f"are they in {unit}?" if unit else "check their unit and frame"}"""
             yield implausible_column("ref_x_m, ref_y_m", text)
@@ -334,16 +334,16 @@ def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
 
 
 def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
-    columns = design.wheel_columns(campaign)
+    columns = checks.wheel_columns(campaign)
     steered = "steer_rad" in columns
     # beside unequal wheels, which turn in proportion to the distance; radii that scatter with the load make small
     # headings follow the counts less than once, never more
-    theta, turned = design.reference_turns(campaign)[0], design.turned_rad(campaign)
+    theta, turned = checks.reference_turns(campaign)[0], checks.turned_rad(campaign)
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
     if good.sum() < 2 * LEAST_RUNS:
         return
     if (np.abs(turned[good]) >= 1.0).sum() >= LEAST_RUNS:
-        ratio, std, _ = design.partial_slope(theta[good], turned[good], distance[good, None])
+        ratio, std, _ = checks.partial_slope(theta[good], turned[good], distance[good, None])
         if std > 0.1 * abs(ratio) or 0.5 <= ratio <= 2.0:
             return
         if not -2.0 <= ratio <= -0.5:
@@ -354,11 +354,11 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
             yield implausible_column("ref_theta_rad", text)
             return
     elif campaign.reference.frame != "map":
-        loads = [campaign.runs.number(f"load_{side}_N")[good] for side in design.SIDES]
+        loads = [campaign.runs.number(f"load_{side}_N")[good] for side in checks.SIDES]
         by_load = [distance[good] * load for load in loads if np.isfinite(load).all()]
         nuisance = np.column_stack([distance[good], *by_load])
-        ratio, std, _ = design.partial_slope(theta[good], turned[good], nuisance)
-        back, back_std, _ = design.partial_slope(turned[good], theta[good], nuisance)
+        ratio, std, _ = checks.partial_slope(theta[good], turned[good], nuisance)
+        back, back_std, _ = checks.partial_slope(turned[good], theta[good], nuisance)
         if _OPPOSED_SIGMAS * back_std < back < 1.5 * math.pi / 180.0:
             text = f"""the counts turn {back:.3g} times as far as the headings; are these in degrees? Name the column
                 ref_theta_deg"""
@@ -380,7 +380,7 @@ def _logged_headings(campaign: Campaign) -> Iterator[Note]:
     for _, log in campaign.logs.each(2, *columns):
         known = np.isfinite(log["ref_theta_rad"])
         left, right, heading = (log[name][known] for name in columns)
-        turned = np.diff(design.turned_rad(campaign, left, right))
+        turned = np.diff(checks.turned_rad(campaign, left, right))
         fast = np.abs(turned) > 0.5 * np.nanmax(np.abs(turned), initial=0.0)
         if np.nansum(np.abs(turned)) >= 1.0:
             ratios.append(float(np.nanmedian(np.diff(heading)[fast] / turned[fast])))

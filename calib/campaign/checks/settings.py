@@ -5,8 +5,8 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.checks import design
-from calib.campaign.checks.design import LEAST_RUNS, SIDES, column_note, listed, raw_radius_ratio, setting_note, stated
+from calib.campaign import checks
+from calib.campaign.checks import LEAST_RUNS, SIDES, column_note, listed, raw_radius_ratio, setting_note, stated
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import CLOSED, log_totals
 from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, without_rear_wheels
@@ -101,7 +101,7 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
         ratio = ratio / float(np.nanmedian(ratio))
         for run in np.flatnonzero((ratio > ODD_RATIO) | (ratio < 1.0 / ODD_RATIO)):
             text = f"the distance is {ratio[run]:.3g} times what the wheels rolled; check it, or exclude the run"
-            yield design.cell_note(campaign, int(run), "distance_m", text, "odd_distance")
+            yield checks.cell_note(campaign, int(run), "distance_m", text, "odd_distance")
     logs = campaign.logs
     fell = np.flatnonzero(np.diff(logs.columns.get("t_s", np.zeros(0))) < 0.0) + 1
     runs = np.unique(np.searchsorted(logs.offsets, np.setdiff1d(fell, logs.offsets), side="right") - 1)
@@ -112,15 +112,15 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
 
 def heading_turns(campaign: Campaign) -> Iterator[Note]:
     """Find end headings of a few runs a whole turn off the wheels'."""
-    turns = design.reference_turns(campaign)[1]
+    turns = checks.reference_turns(campaign)[1]
     odd = np.isfinite(turns) & (turns != 0.0)
     few = odd.sum() <= MOST_ODD * np.isfinite(turns).sum()
-    for _, runs in design.groups_of(campaign.runs.label("session")) if few else ():
+    for _, runs in checks.groups_of(campaign.runs.label("session")) if few else ():
         # a session off by no whole turns has another unit or sign, and no wrong cell
         for run in runs[odd[runs]] if np.isinf(turns[runs]).mean() <= MOST_ODD else ():
             text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell, or omit a "
             text += "run that lost counts"
-            yield design.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
+            yield checks.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
 
 
 #: factors of turns by left wheel, right wheel and reference, and what they make good
@@ -159,15 +159,15 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
         text = f"found {half:.3g} rad and more in half of all samples; expected less of a car; is it 0 straight ahead?"
         yield column_note("steer_rad", text, "implausible", "wrong", "logs")
         return
-    campaign = design.on_axle(campaign)
+    campaign = checks.on_axle(campaign)
     senses = _STEERED_SENSES if steered else _SENSES
     known, apart, _ = _apart_rad(campaign, senses)
-    for where, runs in (("all runs", np.arange(len(known))), *design.groups_of(campaign.runs.label("session"))):
+    for where, runs in (("all runs", np.arange(len(known))), *checks.groups_of(campaign.runs.label("session"))):
         if len(of := runs[known[runs]]) >= LEAST_RUNS and (
             words := _made_good(np.median(np.abs(apart[:, of]), axis=1), senses)
         ):
             text = f"in {where} counts and headings are {words}"
-            columns = f"{design.wheel_columns(campaign)}, ref_theta_rad"
+            columns = f"{checks.wheel_columns(campaign)}, ref_theta_rad"
             yield column_note(columns, text, "implausible", "wrong")
             if where == "all runs":
                 return
@@ -175,7 +175,7 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
 
 def odd_runs(campaign: Campaign) -> Iterator[Note]:
     """Find single runs of another sense or unit: by their headings, or ends farther away than was driven."""
-    campaign = design.on_axle(campaign)
+    campaign = checks.on_axle(campaign)
     senses = _STEERED_SENSES if odometry_source(campaign) in STEERED else _SENSES
     known, apart, turned = _apart_rad(campaign, senses)
     apart = np.abs(apart)
@@ -184,20 +184,20 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
     told = {run: words for run in near.tolist() if (words := _made_good(apart[:, run], senses))}
     for run, words in told.items() if len(told) <= MOST_ODD * known.sum() else ():
         text = f"counts and heading are {words.partition(';')[0]}; correct the row"
-        yield design.cell_note(campaign, run, f"{design.wheel_columns(campaign)}, ref_theta_rad", text, "odd_run")
-    rolled = np.mean([np.abs(design.rolled_m(campaign, side)) for side in SIDES], axis=0)
+        yield checks.cell_note(campaign, run, f"{checks.wheel_columns(campaign)}, ref_theta_rad", text, "odd_run")
+    rolled = np.mean([np.abs(checks.rolled_m(campaign, side)) for side in SIDES], axis=0)
     away = np.hypot(campaign.runs.number("ref_x_m"), campaign.runs.number("ref_y_m"))
     # wheels half as large again, and a sensor on the vehicle's edge, make up for less
     far = np.flatnonzero((away > 1.5 * rolled + 1.0) & (campaign.reference.frame != "map"))
     for run in far.tolist() if len(far) <= MOST_ODD * np.isfinite(away + rolled).sum() else ():
         text = f"""the run ends {few_digits(away[run])} m away after {few_digits(rolled[run])} m driven; is it in
             another unit, or another run's?"""
-        yield design.cell_note(campaign, run, "ref_x_m, ref_y_m", text, "odd_run")
+        yield checks.cell_note(campaign, run, "ref_x_m, ref_y_m", text, "odd_run")
 
 
 def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArray, FloatArray]:
-    turned = design.reference_turns(campaign)[0]
-    left, right = (design.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
+    turned = checks.reference_turns(campaign)[0]
+    left, right = (checks.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
     apart = [
         # a wheel that counts forward, beside one that does not, is not the one to negate; headings in another unit
         # agree with what the wheels turned, and wheels that hardly turned agree with any
@@ -240,7 +240,7 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
     """Find distances, headings and counts in steps far above their uncertainty."""
     sigma_m = campaign.rangefinder.sigma_m
     resolutions = {"distance_m": sigma_m, "ref_theta_rad": campaign.reference.sigma_theta_rad}
-    resolutions |= {f"counts_{side}": sigma_m / float(design.rolled_m(campaign, side, np.ones(1))[0]) for side in SIDES}
+    resolutions |= {f"counts_{side}": sigma_m / float(checks.rolled_m(campaign, side, np.ones(1))[0]) for side in SIDES}
     driven = campaign.runs.label("loop") != CLOSED
     for name, resolution in resolutions.items():
         if step := _coarse_step(campaign.runs.number(name)[driven], resolution):
@@ -284,7 +284,7 @@ def copied_distances(campaign: Campaign) -> Iterator[Note]:
 def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
     """Find session labels that are a row off."""
     session = np.unique(campaign.runs.label("session"), return_inverse=True)[1]
-    asked = {"load": design.load_label(campaign), "temperature_C": campaign.runs.number("temperature_C")}
+    asked = {"load": checks.load_label(campaign), "temperature_C": campaign.runs.number("temperature_C")}
     for name, values in asked.items():
         group = np.unique(values, return_inverse=True)[1]
         if len(np.unique(session)) < 2 or len(np.unique(group)) < 2 or _constant_within(session, group):
@@ -322,22 +322,23 @@ _OUTLIER_SPREADS: Final = 6.0
 def far_from_line(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose radius lies far from the line by load of their kind."""
     for side in SIDES:
-        ratio, load = raw_radius_ratio(campaign, side), campaign.runs.number(f"load_{side}_N")
+        # the sign of counts is found by itself
+        ratio, load = np.abs(raw_radius_ratio(campaign, side)), campaign.runs.number(f"load_{side}_N")
         load = load if np.isfinite(load).any() else np.zeros(len(load))
-        ratio = np.where(np.abs(np.abs(ratio) - 1) < 0.15, ratio, np.nan)
+        ratio = np.where(np.abs(ratio - 1) < 0.15, ratio, np.nan)
         away = np.full(len(ratio), np.nan)
-        for _, of in design.groups_of(campaign.runs.label("kind")):
+        for _, of in checks.groups_of(campaign.runs.label("kind")):
             of = of[np.isfinite(ratio + load)[of]]
-            if len(of) >= design.LEAST_OF_A_LINE:
+            if len(of) >= checks.LEAST_OF_A_LINE:
                 x = load[of] - load[of].mean()
                 # a load far from the others' draws its line
-                away[of] = design.off_line(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
+                away[of] = checks.off_line(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
         # the rangefinder's share keeps short runs, and exact data, from flagging their last digit
         with np.errstate(divide="ignore"):
             noise = campaign.rangefinder.sigma_m / campaign.runs.number("distance_m")
-        spread = np.maximum(design.robust_spread(away) * 1.2, noise)
+        spread = np.maximum(checks.robust_spread(away) * 1.2, noise)
         for run in np.flatnonzero(np.abs(away) > _OUTLIER_SPREADS * spread):
             text = f"""the {side} radius lies {100 * away[run]:+.3f} % from the others' line by load,
                 {abs(away[run]) / spread[run]:.0f} times their spread; look for slip, a wrong distance or load, or a law
                 that bends"""
-            yield design.cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_line")
+            yield checks.cell_note(campaign, run, f"distance_m, counts_{side}", text, "far_from_line")

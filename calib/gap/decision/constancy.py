@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 
+from calib.campaign.wheels import turn_between_samples_rad
 from calib.gap.decision import groupings
 from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.held_out import MOST_SESSION_FOLDS, improvement_of, left_with_others
@@ -288,7 +289,29 @@ def unchecked(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, str]:
                 shown = f"{cause.effect} has a signal of {cause.signal:.0f} in these runs"
                 hints[cause.effect] = f"{shown}, and does {times:.0f} times as much {where}"
     names = {cause.effect for cause in causes}
-    return _saturated(evidence, names) | hints | _at_a_place(evidence, names)
+    return _saturated(evidence, names) | hints | _at_a_place(evidence, names) | _between_samples(evidence, names)
+
+
+def _between_samples(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
+    """Return all causes where steering between samples, alike in runs of a condition, may do what they correct."""
+    seen, held_out = evidence.observations, evidence.held_out
+    if not seen.by_front or seen.windowed:
+        return {}
+    turn = turn_between_samples_rad(evidence.situation.campaign.included())[seen.run]
+    # a turn anywhere along the way
+    lever = np.stack([0.0 * turn, seen.length_m / np.sqrt(3.0), seen.length_m / np.sqrt(3.0), 1.0 + 0.0 * turn], axis=1)
+    shown = 0.0
+    for own in (seen.condition == number for number in np.unique(seen.condition)):
+        corrected = np.nan_to_num(held_out.before - held_out.after)[own, :4].mean(axis=0)
+        noise = (evidence.noise.floor[own, :4] ** 2).mean(axis=0) / own.sum()
+        shown += float((corrected**2 / (noise + ((turn[:, None] * lever)[own] ** 2).mean(axis=0))).sum())
+    if shown > NOISE_LEVELS**2:
+        return {}
+    text = (
+        f"the steering angle moves so far between two samples that a run's heading is open by {1e3 * turn.mean():.2g} "
+        "mrad, and what is corrected is within that; log the steering more often"
+    )
+    return dict.fromkeys(names, text)
 
 
 def _at_a_place(evidence: Evidence, names: Collection[str]) -> dict[str, str]:

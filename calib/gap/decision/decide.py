@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.check import implausible, notes_for_results
-from calib.campaign.checks.design import columns_as_one, listed
+from calib.campaign.checks import columns_as_one, listed
 from calib.campaign.checks.measurements import loads_against_payload
 from calib.campaign.model import Note
 from calib.gap.decision import causes as naming

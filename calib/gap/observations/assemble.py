@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.checks.design import listed
+from calib.campaign.checks import listed
 from calib.campaign.model import Campaign
 from calib.campaign.read import looks_ahead
 from calib.campaign.settings import WHEEL_LOADS

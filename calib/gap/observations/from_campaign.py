@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.checks.design import listed
+from calib.campaign.checks import listed
 from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Final, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from calib.campaign.checks.design import FEWEST_OF_A_LAW, columns_as_one, sessions_of_loads
+from calib.campaign.checks import FEWEST_OF_A_LAW, columns_as_one, sessions_of_loads
 from calib.campaign.model import Campaign
 from calib.campaign.read import CLOSED, GYRO_TURN
 from calib.campaign.settings_file import load_toml, parse_settings
@@ -18,12 +18,14 @@ from calib.errors import PLANNED_RUNS, BadFileError, BadInputError, refuse_beyon
 from calib.gap.effects import Effect
 from calib.gap.effects.quantities import driven_speed_mps
 from calib.gap.effects.reference import ReferenceScale
+from calib.gap.inference import FORM_ERROR
 from calib.gap.inference.noise import Noise
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.plan import ENOUGH_SD, Apart, Signatures, Task, noise_at, planned_runs, tied, untied
 from calib.gap.plan.planned_runs import DEFAULT_CORRIDOR_M, Dimensions, Measured, PlannedRun, drive, joined, route_of
 from calib.gap.predict import Path, predict
 from calib.odometry.routes import Route
+from calib.types import FloatArray
 
 #: recorded distances of corridors
 CORRIDOR_RANGE_M: Final = (0.1, 500.0)
@@ -123,7 +125,7 @@ def next_runs(
     while len(chosen) <= most - bool(task.tied and law and most > 1) and left:
         numbers = sorted(left)
         before, *after = task.of([chosen, *([*chosen, n] for n in numbers)])
-        best = max(range(len(after)), key=lambda k: (task.score(after[k]), -k))
+        best = _best(task, after, [runs[n] for n in numbers], dimensions.speeds_mps[1])
         enough, gained = (before >= ENOUGH_SD).all(), task.score(after[best]) > task.score(before)
         if enough or not (gained and task.gains(before, after[best])):
             break
@@ -141,6 +143,14 @@ def next_runs(
     proposed += [replace(runs[n], why=_OF_LAW) for n in later]
     runs = sorted(proposed, key=lambda run: run.why == _BESIDE)
     return [_stated(run, dimensions, by_laser=measured.distance) for run in runs]
+
+
+def _best(task: Task, after: Sequence[FloatArray], runs: Sequence[PlannedRun], usual_mps: float) -> int:
+    best = max(range(len(after)), key=lambda k: (task.score(after[k]), -k))
+    # another speed is one difference more from the runs driven: not where it hardly tells more
+    usual, least = replace(runs[best], speed_mps=usual_mps), (1.0 - FORM_ERROR) * after[best]
+    alike = (k for k, run in enumerate(runs) if task.tied and run == usual and (after[k] >= least).all())
+    return next(alike, best)
 
 
 def _needed(task: Task, chosen: list[int], kept: Collection[int], most: int) -> tuple[list[int], list[int]]:

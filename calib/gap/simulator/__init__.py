@@ -92,7 +92,8 @@ def read_settings(path: Path) -> SimulatorSettings:
         settings = SimulatorSettings.model_validate(load_toml(path, str(path), remedy="give the path of SIM.toml"))
     except ValidationError as error:
         key, found, expected = first_fault(error)
-        expected = 'a list: ["python", "sim.py"]' if expected == "a valid tuple" else expected
+        of_key = {"command": 'a list: ["python", "sim.py"]', "parameter": "[[parameter]]: name, nominal, step, largest"}
+        expected = of_key.get(key, expected)
         raise BadFileError(path, found[:60], expected, "see the simulator page of the manual", column=key) from error
     settings._path = path
     for place in PLACES:

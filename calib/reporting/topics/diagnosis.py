@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib import reporting
-from calib.campaign.checks.design import listed
+from calib.campaign.checks import listed
 from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
 from calib.gap.effects.library import LIBRARY, UNCHANGED, Entry
 from calib.gap.effects.reference import RangefinderScale, ReferenceScale

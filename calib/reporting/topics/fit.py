@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from calib import reporting
-from calib.campaign.checks.design import SIDES, WEIGHTY, listed
+from calib.campaign.checks import SIDES, WEIGHTY, listed
 from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
 from calib.radius.regression import Check, WheelFit, t_quantile
 from calib.radius.result import Difference, Fit, ModelComparison

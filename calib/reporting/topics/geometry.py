@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib import reporting
-from calib.campaign.checks.design import listed
+from calib.campaign.checks import listed
 from calib.fleet import Population, Quantities, shown_quantity
 from calib.fleet.run import Fleet, Survey
 from calib.kinematics.adequacy import LACK_OF_FIT, USELESS_SHARE, GeometryVerdict

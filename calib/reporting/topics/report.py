@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib import __version__, reporting
-from calib.campaign.checks.design import SIDES
+from calib.campaign.checks import SIDES
 from calib.radius.law import round_loads
 from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit

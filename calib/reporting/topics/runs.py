@@ -8,7 +8,7 @@ import numpy as np
 
 from calib import reporting
 from calib.campaign.check import CheckReport
-from calib.campaign.checks.design import SIDES, listed
+from calib.campaign.checks import SIDES, listed
 from calib.campaign.model import Note
 from calib.campaign.settings import WHEEL_LOADS
 from calib.radius.deviation import RunDeviations, allowed_amplitude_m, radius_error

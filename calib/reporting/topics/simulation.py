@@ -21,7 +21,7 @@ from calib.odometry.routes import radii_under_load, travel_from_counts
 from calib.odometry.simulation import SHOWN, LawPart, Simulation, Sweep, paper_headline
 from calib.reporting import Block, Items, Table, Text, caption, catalogue, paragraph, simulated_notice, table
 from calib.reporting.formatting import MISSING, fixed, measured
-from calib.types import FloatArray
+from calib.types import FloatArray, few_digits
 from calib.vehicle import LoadSweep, Vehicle, WeighedPayload
 
 if TYPE_CHECKING:
@@ -121,17 +121,17 @@ def _path(path: LawPath, route: str) -> list[Block]:
         rows.append((title, *errors, fixed(end["rms_m"], 4)))
         rows.append(("", *(f"± {factor * end[f'half_width95_{key}']:.4f}" for key, factor in _FACTORS.items()), ""))
     heads = ("<Radii", "along (m)", "left (m)", "heading (mrad)", "global x (m)", "global y (m)", "rms (m)")
-    ends_of_ratio = path.ratio_ci95
-    interval = "" if ends_of_ratio is None else f" (95 % interval {ends_of_ratio[0]:.1f} to {ends_of_ratio[1]:.1f})"
     shown = table(caption("table-journey", route=route, loading=path.loading_text), heads, rows)
-    return [shown, Text(f"Radii that follow the load make the end error {times(path.ratio)}{interval}.")]
+    return [shown, Text(f"Radii that follow the load make the end error {times(path.ratio, path.ratio_ci95)}.")]
 
 
-def times(ratio: float) -> str:
-    """Return errors before over after in words; 1.0 is no change."""
+def times(ratio: float, ci95: tuple[float, float] | None = None) -> str:
+    """Return errors before over after in words, with the interval of what is said; 1.0 is no change."""
     if 1.0 / SMALLER < ratio < SMALLER:
         return f"neither smaller nor larger ({ratio:.2f} times)"
-    return f"{ratio:.1f} times smaller" if ratio > 1.0 else f"{1.0 / ratio:.1f} times larger"
+    size, *ends = (few_digits(one if ratio > 1.0 else 1.0 / one) for one in (ratio, *(ci95 or ())))
+    interval = f" (95 % interval {min(ends, key=float)} to {max(ends, key=float)})" if ends else ""
+    return f"{size} times {'smaller' if ratio > 1.0 else 'larger'}{interval}"
 
 
 def _signed(value: float, decimals: int) -> str:
@@ -155,12 +155,11 @@ def replay_content(replay: Replay) -> tuple[Block, ...]:
     left_out = [Text(f"{count} runs not used: {reason}.") for reason, count in replay.left_out.items() if count]
     if replay.by_geometry:
         return (errors, Text("The vehicle's runtime reads two wheels on one axle; so it was not checked."), *left_out)
-    low, high = replay.ratio_ci95
     check = replay.runtime
     law = times(replay.rms_m["model"] / replay.rms_m["corrected"])
     largest = {"largest_m": check.largest_difference_m, "largest_rad": check.largest_difference_rad}
     sentences = (
-        paragraph("replay", law=law, following=times(replay.ratio), low=low, high=high),
+        paragraph("replay", law=law, following=times(replay.ratio, replay.ratio_ci95)),
         paragraph("runtime", runs=check.runs, samples=check.samples, **largest),
         *(f"The runtime refused {count} times: {status}." for status, count in check.faults.items()),
     )

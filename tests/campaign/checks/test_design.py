@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.campaign.checks.design import pasted_rows
+from calib.campaign.checks import pasted_rows
 from calib.campaign.model import Campaign
 from tests.kinematics.campaigns import Truth, campaign, square
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.campaign.checks.design import sessions_of_loads
+from calib.campaign.checks import sessions_of_loads
 from calib.campaign.model import Campaign
 from calib.errors import BadFileError
 from calib.gap.decision.confounding import apart_on
