@@ -200,8 +200,8 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
             remedy = "remove the row; a gap in time is found and said"
             row = int(line[gaps[0]])
             raise BadFileError(shown, "an empty cell", "a number in every row", remedy, row=row, column=name)
-    if not len(line):
-        raise BadFileError(shown, "no rows", "one row a sample", "export the log again")
+    if len(line) < 2:
+        raise BadFileError(shown, f"{len(line) or 'no'} rows", "one row a sample, two or more", "export the log again")
 
 
 def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray | None = None) -> int | None:

@@ -66,7 +66,7 @@ class Seeds:
 
 def read_seeds(path: Path) -> Seeds:
     """Read a seeds file; raises BadFileError."""
-    data = load_toml(path, str(path), remedy="give one of calib/challenge/seeds")
+    data = load_toml(path, str(path), remedy=_REMEDY)
     if data.pop("format", None) != _FORMAT:
         raise BadFileError(path, column="format", found="another format", expected=_FORMAT, remedy=_REMEDY)
     try:
@@ -247,7 +247,8 @@ def read_public(folder: Path) -> Mapping[str, Any]:
             raise OSError("no regular file")
         data: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise BadFileError(path, str(error), "a set made by 'calib challenge make'", "make one first") from error
+        found = getattr(error, "strerror", None) or str(error)
+        raise BadFileError(path, found, "a set made by 'calib challenge make'", "make one first") from error
     if not isinstance(data, dict) or data.get("format") != _PUBLIC_FORMAT or not isinstance(data.get("cases"), dict):
         found = f"another format ({data.get('format') if isinstance(data, dict) else type(data).__name__})"
         raise BadFileError(path, found, _PUBLIC_FORMAT, "make the set again with this version")

@@ -49,6 +49,7 @@ def ingest(
     Example: calib ingest export.xlsx logger/ --mapping lab.toml --into hall3
     """
     if describe:
+        terminal.refuse_options("with --describe", {"--into": into, "--mapping": mapping, "--dry-run": dry_run})
         _describe(sources)
         return
     if into is None:

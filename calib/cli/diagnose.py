@@ -73,7 +73,7 @@ def run(
         with terminal.progress("making the page"):
             page = diagnosis_page(diagnosis, read)
         terminal.save(html, page)
-    terminal.draw(figures, lambda: named("figures", "gap.gap_figures")(diagnosis))
+    terminal.draw(figures, lambda: named("figures", "gap.gap_figures")(diagnosis), simulated=read.simulated)
     terminal.emit_json(document)
     applied = "" if apply is None else _apply(diagnosis, read, effects, apply)
     step = applied or after_diagnosis(diagnosis, simulator=simulator is not None)
@@ -125,8 +125,7 @@ def _apply(
 def _simulated(
     campaign: "Campaign", simulator: Path, exclude: tuple[str, ...], seed: int, workers: int, tick: "Progress"
 ) -> "tuple[Diagnosis, str]":
-    from calib.campaign.log_reading import cache_folder
-    from calib.gap.simulator import read_settings
+    from calib.gap.simulator import cache_folder, read_settings
     from calib.gap.simulator.diagnose import diagnose_simulator
     from calib.gap.simulator.runner import RUNS_STAGE
     from calib.reporting.formatting import plural
@@ -141,7 +140,7 @@ def _simulated(
     try:
         done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=counted)
     except KeyboardInterrupt:
-        if (runs := finished[RUNS_STAGE]) and cache_folder("simulator") is not None:
+        if (runs := finished[RUNS_STAGE]) and cache_folder() is not None:
             terminal.keep(f"results of {plural(runs, 'run')} of the simulator, which will not run again")
         raise
     return done.diagnosis, done.runs.sentence

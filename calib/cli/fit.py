@@ -72,7 +72,7 @@ def fit(
     if not terminal.wants_stdout():
         terminal.show(content)
     terminal.wrote([] if into is None else [write_result(fitted, into, force=terminal.forced())])
-    terminal.draw(figures, lambda: {one.name: one.draw() for one in fit_pictures(fitted)})
+    terminal.draw(figures, lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, simulated=fitted.simulated)
     terminal.emit_json(document)
     terminal.then(after_fit(fitted), c=campaign)
     return 0 if fitted.passed else 1
@@ -125,7 +125,7 @@ def geometry(
         from calib.kinematics.assemble import traces_of
 
         paths = traces_of(read, estimated)
-        terminal.draw(figures, lambda: {PICTURE: drawn("calibration.draw_paths", paths, simulated=estimated.simulated)})
+        terminal.draw(figures, lambda: {PICTURE: drawn("calibration.draw_paths", paths)}, simulated=read.simulated)
     terminal.emit_json(document)
     if output is not None:
         terminal.save(output, from_geometry(estimated, read, accept=accept).to_bytes())
@@ -260,7 +260,7 @@ def report(
         report = report_of(given, issued=issued, accept=accept, seed=drawn_by, where=source, progress=tick)
         target = place_of(report.name, into, force=force)
         if figures is not None:
-            drawn = write_figures(report.figures(), figures, force=force, progress=tick)
+            drawn = write_figures(report.figures(), figures, simulated=report.simulated, force=force, progress=tick)
         page = "" if html is None else _page(report, given, tick)
         write_bytes(target, to_pdf(report, tick), force=force)
     if html is not None:

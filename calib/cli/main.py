@@ -74,7 +74,8 @@ def _nearest_path(message: str, given: list[str]) -> str:
     for word in given:
         path = Path(word)
         with suppress(OSError, ValueError):
-            if path.name and message.startswith(f"{path}: found no") and path.parent.is_dir() and not path.exists():
+            absent = path.parent.is_dir() and not path.exists()
+            if path.name and absent and message.startswith(f"{path}: found no such"):
                 if path.is_symlink():
                     return "; this is a symbolic link that leads nowhere"
                 return nearest(path.name, (beside.name for beside in path.parent.iterdir()))

@@ -234,8 +234,7 @@ def replay(
         notes.append(
             "the law was fitted to this same campaign: give --law for a judgement on runs that it has not seen"
         )
-    about = {"campaign": read.name, "simulated": read.simulated, "scheme": scheme}
-    document = about | replayed.to_dict() | {"notes": notes}
+    document = replayed.to_dict() | {"scheme": scheme, "notes": notes}
     written = [] if output is None else write_replay(replayed, output, document, force=terminal.forced())
     if tum is not None:
         written += replay_trajectories(read, source.file, tum, force=terminal.forced())
@@ -249,7 +248,7 @@ Truth = Annotated[Place, opt("FILE", "The sealed truth; DIR.truth.json where not
 
 
 def make(
-    seeds: Annotated[Path, opt("FILE", "Seeds file; see calib/challenge/seeds.")],
+    seeds: Annotated[Path, opt("FILE", "How many cases of each kind, in TOML; see the manual.")],
     into: Annotated[Path, opt("DIR", "Folder for the set.")],
     cases: Cases = None,
     truth: Truth = None,

@@ -189,14 +189,14 @@ def save(path: Path | None, content: Any) -> None:
         wrote([write(path, content, force=forced())])
 
 
-def draw(folder: Path | None, figures: "Callable[[], Mapping[str, Figure]]") -> list[Path]:
+def draw(folder: Path | None, figures: "Callable[[], Mapping[str, Figure]]", *, simulated: bool = False) -> list[Path]:
     """Draw figures and write them into a folder, where one is named; return their files."""
     if folder is None:
         return []
     from calib.reporting.figures import write_figures
 
     with progress("drawing") as tick:
-        written = write_figures(figures(), folder, force=forced(), progress=tick)
+        written = write_figures(figures(), folder, simulated=simulated, force=forced(), progress=tick)
     wrote(written, what=f"{len(written)} figure files to {folder}" if written else "no figure")
     return written
 
@@ -316,5 +316,5 @@ def numbers(text: str, count: int | None, name: str) -> tuple[float, ...]:
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """Return ``; did you mean 'x'?`` for the known words that are near, else an empty text."""
-    near = difflib.get_close_matches(word, list(known), n=3, cutoff=0.5)
+    near = difflib.get_close_matches(word, list(known))
     return f"; did you mean {' or '.join(repr(name) for name in near)}?" if near else ""

@@ -141,11 +141,11 @@ def front_faults(recording: "Recording", segments: "Segments", radius_m: float, 
     found = straight_reading_rad(
         rolled, steer, turned, lambda steps: segments.between(steps)[headed], by_shaft=by_shaft
     )
-    if straight_rad := found:
-        degrees = f"{straight_rad:.3g} rad ({np.degrees(straight_rad):.0f} degrees)"
+    if abs(found) > 0.0:
+        degrees = f"{found:.3g} rad ({np.degrees(found):.0f} degrees)"
         text = f"steer_rad: it reads {degrees} where the wheels stand straight ahead; subtract that"
         faults.append(Fault("steering_offset", text))
-        steer = np.angle(np.exp(1j * (steer - straight_rad)))
+        steer = np.angle(np.exp(1j * (steer - found)))
         recording = recording.with_steering(steer)
     ways = (_of_front(rolled, steer) if by_shaft else rolled) * np.stack([np.sin(steer), np.cos(steer)])
     by_ways = segments.between(ways)[:, headed]
@@ -189,7 +189,7 @@ def _of_front(rolled: FloatArray, steer_rad: FloatArray) -> FloatArray:
 def straight_reading_rad(
     rolled: FloatArray, steer_rad: FloatArray, turned_rad: FloatArray, between: Between, *, by_shaft: bool = False
 ) -> float:
-    """Return the steering angle read straight ahead; 0 where unknown or near 0.
+    """Return the steering angle read straight ahead; 0 where near that, NaN where these turns do not follow it.
 
     A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``. Of c and its opposite that nearer to
     most readings is taken.
@@ -204,7 +204,7 @@ def straight_reading_rad(
         The way is that of a counted rear axle: turns go by the tangent.
     """
     if len(turned_rad) < 4 or float(np.ptp(steer_rad)) > 2.0 * LARGEST_STEERING_RAD:
-        return 0.0
+        return np.nan
     most = np.sum(np.abs(rolled) * np.exp(1j * steer_rad))
     total, found_rad = turned_rad @ turned_rad, float(np.angle(most))
     for _ in range(STRAIGHT_ROUNDS if by_shaft else 1):
@@ -219,9 +219,10 @@ def straight_reading_rad(
     near_rad = float(np.copysign(FARTHEST_ZERO_RAD, found_rad))
     by_near = np.cos(near_rad) * ways[0] - np.sin(near_rad) * ways[1]
     alone = total - (by_near @ turned_rad) ** 2 / max(by_near @ by_near, 1e-12)
-    if left > POOR * total or (straight.real > 0.0 and left > CLEARLY_LESS * alone):
-        return 0.0
-    return found_rad if abs(found_rad) > FARTHEST_ZERO_RAD else 0.0
+    if left > POOR * total:
+        return np.nan
+    near = abs(found_rad) <= FARTHEST_ZERO_RAD or (straight.real > 0.0 and left > CLEARLY_LESS * alone)
+    return 0.0 if near else found_rad
 
 
 def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:

@@ -36,6 +36,7 @@ class AxleLaw:
     walk: RandomWalk | None = None  #: random part of the error; None: none
     vehicle: Vehicle = field(default_factory=Vehicle)
     notes: tuple[str, ...] = ()  #: what the user should know about the source
+    simulated: bool = False  #: whether a program made the data of the law
 
 
 def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
@@ -50,7 +51,7 @@ def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
     walk = RandomWalk(noise.along.value, noise.heading.value, noise.count_std.value, *per_rev)
     notes = (*source.notes, *effects_left_out(file, "not simulated"))
     track_m = file.geometry.track_m if track_m is None else track_m
-    return AxleLaw(file.law, track_m, file.vehicle.track_std.value, walk, file.loaded, notes)
+    return AxleLaw(file.law, track_m, file.vehicle.track_std.value, walk, file.loaded, notes, file.simulated)
 
 
 def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:

@@ -80,7 +80,7 @@ class Replay(Result):
             for name in ("along_m", "lateral_m", "heading_rad", "distance_m"):
                 columns[f"{method}_{name}"] = getattr(self.errors[method], name)
         rows = zip(*(column.tolist() for column in columns.values()), strict=True)
-        written = ("rms_m", "rms_heading_rad", "ratio", "ratio_ci95", "runtime", "left_out")
+        written = ("campaign", "simulated", "rms_m", "rms_heading_rad", "ratio", "ratio_ci95", "runtime", "left_out")
         document = {name: plain(getattr(self, name)) for name in written}
         return document | {"runs": [dict(zip(columns, row, strict=True)) for row in rows]}
 

@@ -243,6 +243,7 @@ class LawPart:
     journeys: tuple[Journey, ...]  #: without and with correction, for each pair of loads and each band
     path: LawPath  #: along the last route, under the loads that change on the way, or else the first pair
     notes: tuple[str, ...]  #: what the reader should know
+    simulated: bool  #: whether a program made the data of the law
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,6 +267,11 @@ class Simulation(Result):
     sweeps: dict[str, Sweep]
     headlines: tuple[Headline, ...]
     law: LawPart | None
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the law comes from simulated data."""
+        return self.law is not None and self.law.simulated
 
     @property
     def table(self) -> "DataFrame":
@@ -372,4 +378,4 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
                 f"{wheel.load_min_N:g} to {wheel.load_max_N:g} N where the law holds: it extrapolates there"
             )
     every = round_loads(min(wheel.load_min_N for wheel in wheels), max(wheel.load_max_N for wheel in wheels))
-    return LawPart(law=law, table=law_table(law, every), journeys=journeys, notes=tuple(notes), path=path)
+    return LawPart(law, law_table(law, every), journeys, path, tuple(notes), under.axle.simulated)

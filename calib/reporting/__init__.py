@@ -41,12 +41,19 @@ def _quoted(word: str) -> str:
 
 
 def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
-    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, where that has runs to diagnose."""
-    campaign = Path(str(names.get("c", "")))
+    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, where that has runs to diagnose.
+
+    Raw files of the lab make one first.
+    """
+    campaign, text = Path(str(names.get("c", ""))), catalogue()["next"][step]
     names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
+    of_files = step.startswith(("fit", "diagnose", "geometry")) and campaign.exists() and names["runs"] != campaign
+    if of_files and any(f"calib {command} {{c}}" in text for command in ("plan", "report", "export")):
+        names |= {"c": "CAMPAIGN", "files": campaign}
+        text = "'calib ingest {files} --into CAMPAIGN', then " + text
     words = {name: [one] if isinstance(one, str | Path) else one for name, one in names.items()}
     quoted = {name: " ".join(map(_quoted, map(str, several))) for name, several in words.items()}
-    return "Next: " + catalogue()["next"][step].format(**quoted)
+    return "Next: " + text.format(**quoted)
 
 
 #: kind -> what draws it

@@ -20,7 +20,7 @@ from calib.errors import CalibError
 from calib.io import write_files
 from calib.reporting import Block, Heading, Picture, Section
 from calib.reporting.content import Attachment, Report
-from calib.reporting.figures import known, render_all
+from calib.reporting.figures import known, marked, render_all
 from calib.reporting.formatting import EQUATIONS
 from calib.reporting.source import number_of
 from calib.reporting.topics import content_of
@@ -204,7 +204,8 @@ def write_fleet(fleet: "Fleet | Survey", into: Path, *, name: str, issued: str, 
     if isinstance(fleet, Fleet):
         files["vehicles.csv"] = _bytes(_table(document["vehicles"]))
         for figure, draw in fleet_figures(fleet).items():
-            files |= {f"{figure}.{form}": data for form, data in render_all(draw(), ("png", "svg")).items()}
+            drawn = render_all(marked(draw(), simulated=fleet.simulated), ("png", "svg"))
+            files |= {f"{figure}.{form}": data for form, data in drawn.items()}
     return write_files(
         into, files | {f"{stem}.pdf": to_pdf(report), f"{stem}.html": _bytes(to_html(report))}, force=force
     )

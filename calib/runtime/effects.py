@@ -32,7 +32,8 @@ class Run:
     """What holds during a run: wheel loads, surroundings, and the numbers that effects act through.
 
     `speed_mps`: mean over the way; `minutes_under_load`: of the payload, in mid-run; `direction`: ``out`` or ``back``;
-    `covariates`: further columns of the run table.
+    `covariates`: further columns of the run table. What is NaN or missing is not known: what follows it is as in the
+    mean of the runs diagnosed, see `Effects.unknown`.
     """
 
     load_left_N: float
@@ -270,6 +271,13 @@ _ACTS: dict[str, Callable[[_Effect, _Step, _Change], None]] = {
     "lost_counts": _lost,
     "wheel_eccentricity": _eccentric,
 }
+#: effect -> what of a run it follows
+_FOLLOWS = {
+    "temperature_radius": "temperature_C",
+    "speed_radius": "speed_mps",
+    "wear": "travelled_km",
+    "load_creep": "minutes_under_load",
+}
 #: forms that act through what a single run does not know
 _OTHER_FORMS = ("change of load", "per session", "along the corridor alone", "other routes", "distance")
 
@@ -277,7 +285,8 @@ _OTHER_FORMS = ("change of load", "per session", "along the corridor alone", "ot
 class Effects:
     """The law and the named effects of a coefficient file, run by run and step by step.
 
-    `document`: the file of `coefficients` as JSON; `left_out`: its effects that do not act on the wheels.
+    `document`: the file of `coefficients` as JSON; `left_out`: its effects that do not act on the wheels; `unknown`:
+    those that do, but follow what is not known of the run begun.
     """
 
     def __init__(self, coefficients: Coefficients, document: dict[str, Any]) -> None:
@@ -301,6 +310,7 @@ class Effects:
             self._effects.append((acts, effect))
         self.left_out = tuple(left_out)
         self._run: Run | None = None
+        self.unknown: tuple[str, ...] = ()
         self._phases = (0.0, 0.0)
 
     @classmethod
@@ -325,6 +335,10 @@ class Effects:
             loads[name] = min(max(load_N, low), high)
             if not math.isfinite(load_N) or (loads[name] != load_N and file.outside == "refuse"):
                 raise CoefficientError(f"begin: {name}: found {load_N:g}; expected {low:g} to {high:g} N")
+        known = {name: getattr(run, column) for name, column in _FOLLOWS.items()}
+        known |= {f"covariate:{name}": value for name, value in run.covariates.items()}
+        names = [effect.name for _, effect in self._effects if effect.name in _FOLLOWS or ":" in effect.name]
+        self.unknown = tuple(name for name in names if not math.isfinite(known.get(name, math.nan)))
         self._run = replace(run, **loads)
         self._phases = (run.phase_left_rad, run.phase_right_rad)
 

@@ -28,8 +28,8 @@ class Spent:
 
 
 def spent(arguments: Sequence[str]) -> Spent:
-    """Run a Python process, and return what it took; one thread, no cache of logs."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "CALIB_CACHE": "off"}
+    """Run a Python process, and return what it took; one thread."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     # what is compiled is kept, as that of an installed tool is
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, "-S", "-c", _BETWEEN, *arguments]

@@ -19,7 +19,7 @@ from calib.radius.fit import fit_law
 from calib.reporting import Picture
 from calib.reporting.content import Report, compose
 from calib.reporting.figures import gap as gap_figures
-from calib.reporting.figures import named_groups, render, render_all
+from calib.reporting.figures import marked, named_groups, render, render_all
 from calib.reporting.figures.calibration import draw_paths, path_deviation, regressions, residuals, runs_by_series
 from calib.reporting.figures.studies import replay_figure, sweep_errors_figure, sweep_figure
 from calib.reporting.source import Source
@@ -217,7 +217,7 @@ def test_all_that_paths_of_end_poses_show_is_in_the_legend_and_none_of_it_overla
     way = np.column_stack((np.linspace(0.0, 5.0, 20), np.zeros(20)))
     ends = np.array([[0.01, 0.02, 0.001]])
     trace = RunTrace("r1", "corridor", way, way, np.array([19]), np.zeros(1), way[-1:], ends, ends)
-    figure = draw_paths([trace] * 3, simulated=True)
+    figure = marked(draw_paths([trace] * 3), simulated=True)
     assert clipped(figure) == []
     labels = {label.get_text(): label.get_window_extent() for label in figure.findobj(Label) if label.get_text()}
     assert {"odometry before", "odometry after", "reference"} <= labels.keys()

@@ -115,6 +115,7 @@ def _exclusion_lines(table: FileContents, named: set[str]) -> list[str]:
         values = {text: guesses.excludes(text, valid) for text in column.texts}
         if any(values.values()):
             out.append(f"#{entry('excluded', column, None, {'values': values})}   # leaves these runs out")
+            out.append(f"#{entry('exclusion_reason', column, None)}")
     return out
 
 

@@ -27,6 +27,7 @@ from calib.gap.inference import (
 )
 from calib.gap.inference.fit import CALIBRATION_SD, SIZE_SD, fit, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
+from calib.gap.inference.noise_components import COMPONENTS, kernels
 from calib.gap.localise import ON_THE_FLOOR
 from calib.gap.observations import Channel
 from calib.gap.predict import residuals
@@ -42,6 +43,8 @@ _SIDES: Final = ("left", "right")
 #: families of causes that follow what may go together with the sessions
 SET_WITH_SESSIONS: Final = (Family.DRIFT, Family.LOAD, Family.SPEED)
 
+#: place of the walk of the heading among the noise components
+_HEADING_WALK: Final = [name for name, *_ in COMPONENTS].index("heading_walk")
 #: prior precision of a size's difference between groups: a hundred times the size, left to the data
 DIFFERENCE_PRECISION: Final = 1e-4
 
@@ -298,14 +301,19 @@ def _between_samples(evidence: Evidence, names: Collection[str]) -> dict[str, st
     if not seen.by_front or seen.windowed:
         return {}
     turn = turn_between_samples_rad(evidence.situation.campaign.included())[seen.run]
-    # a turn anywhere along the way
-    lever = np.stack([0.0 * turn, seen.length_m / np.sqrt(3.0), seen.length_m / np.sqrt(3.0), 1.0 + 0.0 * turn], axis=1)
-    shown = 0.0
+    # as a heading that wanders moves the ends
+    wander = np.diagonal(kernels(evidence.nominal)[_HEADING_WALK], axis1=1, axis2=2)[:, :4]
+    reach = turn[:, None] ** 2 * wander / np.maximum(wander[:, 3:], 1e-300)
+    # squares in noise levels that are corrected, and of these what is beyond the steering's reach, by condition
+    squares = np.zeros(2)
     for own in (seen.condition == number for number in np.unique(seen.condition)):
-        corrected = np.nan_to_num(held_out.before - held_out.after)[own, :4].mean(axis=0)
-        noise = (evidence.noise.floor[own, :4] ** 2).mean(axis=0) / own.sum()
-        shown += float((corrected**2 / (noise + ((turn[:, None] * lever)[own] ** 2).mean(axis=0))).sum())
-    if shown > NOISE_LEVELS**2:
+        corrected = np.nan_to_num(held_out.before - held_out.after)[own, :4].mean(axis=0) ** 2
+        beyond = np.maximum(corrected - reach[own].mean(axis=0), 0.0)
+        noise = (evidence.noise.floor[own, :4] ** 2).mean(axis=0)
+        squares += np.where(
+            seen.usable[own, :4].any(axis=0), own.sum() * np.stack([corrected, beyond]) / noise, 0.0
+        ).sum(axis=1)
+    if squares[1] > HALF_CLOSURE * squares[0]:
         return {}
     text = (
         f"the steering angle moves so far between two samples that a run's heading is open by {1e3 * turn.mean():.2g} "

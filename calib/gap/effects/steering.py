@@ -127,7 +127,7 @@ def _straight_ahead_rad(observations: Observations) -> float:
             turned_rad,
             lambda steps: observations.total(steps)[headed],
         )
-        if found_rad:
+        if np.isfinite(found_rad):
             return found_rad
     return 0.0
 

@@ -5,7 +5,9 @@ import hashlib
 import io
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -13,14 +15,13 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, PositiveFloat, PrivateAttr, ValidationError
 
-from calib.campaign.log_reading import cache_folder, keep
 from calib.campaign.settings_file import load_toml
 from calib.coefficients.sections import first_fault
-from calib.errors import BadFileError
+from calib.errors import BadFileError, CalibError
 from calib.gap.effects import Family, Parameter
 from calib.gap.effects.library import REGISTRY
 from calib.gap.effects.simulator import SIMULATOR_PREFIX
-from calib.io import sha256_file
+from calib.io import sha256_file, write_bytes
 from calib.types import FloatArray
 
 #: paths that the command has to name
@@ -219,6 +220,8 @@ def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
 
 
 FORMAT: Final = "calib-simulator-run/1"
+#: environment variable: a folder for the cache, or ``off``
+CACHE: Final = "CALIB_CACHE"
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +254,20 @@ class RunCache:
         if path is None:
             return
         document = {"format": FORMAT, "runs": list(run_ids), "values": values.tolist()}
-        keep(path, json.dumps(document).encode())
+        with suppress(CalibError, OSError):
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            write_bytes(path, json.dumps(document).encode(), force=True)
+
+
+def cache_folder() -> Path | None:
+    """Return the cache folder, by `CACHE` or the user's; None where that says ``off``."""
+    if chosen := os.environ.get(CACHE, ""):
+        return None if chosen == "off" else Path(chosen)
+    base = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    # a user may have no home
+    with suppress(RuntimeError):
+        return (base if base.is_absolute() else Path.home() / ".cache") / "calib" / "simulator"
+    return None
 
 
 def run_cache(settings: SimulatorSettings, campaign_hashes: Mapping[str, str]) -> RunCache:
@@ -266,4 +282,4 @@ def run_cache(settings: SimulatorSettings, campaign_hashes: Mapping[str, str]) -
         files[name] = folder / name
     hashes = {name: sha256_file(path) for name, path in files.items() if path.is_file()}
     what = json.dumps([list(settings.command), hashes, dict(campaign_hashes)], sort_keys=True)
-    return RunCache(cache_folder("simulator"), hashlib.sha256(what.encode()).hexdigest())
+    return RunCache(cache_folder(), hashlib.sha256(what.encode()).hexdigest())

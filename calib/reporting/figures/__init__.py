@@ -202,10 +202,26 @@ def figure_paths(folder: Path, names: Iterable[str]) -> list[Path]:
     return [folder / f"{name}.{form}" for name in names for form in FORMS]
 
 
+def marked(figure: Figure, *, simulated: bool) -> Figure:
+    """Return a figure that says of simulated data, at its right edge, that they are."""
+    if not simulated:
+        return figure
+    layout: Any = figure.get_layout_engine()
+    if layout is not None:
+        layout.set(rect=(0.0, 0.0, 0.97, 1.0))
+    figure.text(0.995, 0.5, "SIMULATED DATA", ha="right", va="center", rotation=90, color=GREY)
+    return figure
+
+
 def write_figures(
-    figures: Mapping[str, Figure], folder: Path, *, force: bool = False, progress: Progress = silent
+    figures: Mapping[str, Figure],
+    folder: Path,
+    *,
+    simulated: bool = False,
+    force: bool = False,
+    progress: Progress = silent,
 ) -> list[Path]:
-    """Write figures, by name of their files, into a folder in every format of `FORMS`.
+    """Write figures, by name of their files, into a folder in every format of `FORMS`; `simulated` is marked.
 
     Raises BadInputError where a file exists, unless `force`; nothing is then written.
     """
@@ -214,5 +230,6 @@ def write_figures(
     refuse_existing(figure_paths(folder, figures), force=force)
     drawn: dict[str, bytes] = {}
     for name, figure in stepped(figures.items(), progress, "figures"):
-        drawn |= {f"{name}.{form}": data for form, data in render_all(figure, FORMS).items()}
+        data = render_all(marked(figure, simulated=simulated), FORMS)
+        drawn |= {f"{name}.{form}": content for form, content in data.items()}
     return write_files(folder, drawn, force=force) if drawn else []

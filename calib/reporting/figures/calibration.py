@@ -235,7 +235,7 @@ CHANNELS: Final = (("along", "mm", 1e3), ("lateral", "mm", 1e3), ("heading", "mr
 
 
 @styled
-def draw_paths(traces: "Sequence[RunTrace]", *, simulated: bool = False) -> Figure:
+def draw_paths(traces: "Sequence[RunTrace]") -> Figure:
     """Draw paths by kind of route: nominal, calibrated, coloured by error, and reference."""
     traces = [_thinned(trace) for trace in traces]
     kinds = list(dict.fromkeys(trace.kind for trace in traces))
@@ -267,8 +267,6 @@ def draw_paths(traces: "Sequence[RunTrace]", *, simulated: bool = False) -> Figu
     if colours is not None:
         figure.colorbar(colours, ax=list(grid), label="odometry after: distance from the reference (mm)", shrink=0.8)
     style.shared_legend(figure, list(handles.values()), list(handles))
-    if simulated:
-        figure.text(0.99, 0.99, "SIMULATED DATA", ha="right", va="top", color=GREY)
     return figure
 
 

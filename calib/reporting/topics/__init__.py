@@ -40,7 +40,8 @@ def figure(result: Result, kind: str | None) -> "Figure":
         raise BadInputError(
             f"plot: found the kind {kind!r}; expected one of {', '.join(figures) or 'none: there is nothing to draw'}"
         )
-    return figures[kind]()
+    marked: Callable[..., Figure] = named("figures", "marked")
+    return marked(figures[kind](), simulated=getattr(result, "simulated", False))
 
 
 def content_of(result: Result, *, brief: bool) -> Sequence[Block | Section]:
@@ -80,7 +81,7 @@ def _simulation(simulation: "Simulation") -> Drawings:
 
 
 def _geometry(geometry: "Geometry") -> Drawings:
-    return {"paths": partial(drawn, "calibration.draw_paths", geometry.paths, simulated=geometry.simulated)}
+    return {"paths": partial(drawn, "calibration.draw_paths", geometry.paths)}
 
 
 def _replay(replay: "Replay") -> Drawings:

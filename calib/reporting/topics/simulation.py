@@ -39,6 +39,7 @@ def simulation_content(simulation: Simulation) -> tuple[Block, ...]:
     law = simulation.law
     routes = [sweep.route.name for sweep in simulation.sweeps.values()]
     return (
+        *([simulated_notice()] if simulation.simulated else ()),
         *(_sweep(name, sweep) for name, sweep in _sweeps(simulation)),
         *([_headline(simulation)] if simulation.headlines else ()),
         *(_law(law) if law else ()),
@@ -216,7 +217,7 @@ def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> li
         tables |= {"table1": plain(rows), "band": path.covariance_rows(), "errors": path.error_rows()}
     document = folder / f"{simulation.study}.json"
     refuse_existing([document, *(folder / f"{name}.csv" for name in tables)], force=force)
-    written = write_figures(figures, folder, force=force)
+    written = write_figures(figures, folder, simulated=simulation.simulated, force=force)
     written += [_csv(folder / f"{name}.csv", rows, force=force) for name, rows in tables.items()]
     return [write_json(document, simulation.to_dict(), force=force), *written]
 
@@ -246,7 +247,7 @@ def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, f
     """Write the figure of a replay, its table as CSV and everything as JSON."""
     from calib.reporting.figures import studies, write_figures
 
-    written = write_figures({"replay": studies.replay_figure(replay)}, folder, force=force)
+    written = write_figures({"replay": studies.replay_figure(replay)}, folder, simulated=replay.simulated, force=force)
     table = _csv(folder / "replay.csv", document["runs"], force=force)
     return [write_json(folder / "replay.json", document, force=force), *written, table]
 
