@@ -218,15 +218,17 @@ class CheckReport:
         return not self.wrong
 
 
-def check_campaign(campaign: Campaign, progress: Progress = silent) -> CheckReport:
+def check_campaign(campaign: Campaign, progress: Progress = silent, more: Iterable[Note] = ()) -> CheckReport:
     """Run every check; nothing is changed.
 
     `campaign`: read leniently, so that faults of single runs are among its notes; of runs flagged as excluded faults
-    alone are reported.
+    alone are reported; `more`: found elsewhere.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
     found, kept = _taken_apart(campaign.included())
-    notes = found + [note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded]
+    notes = [*more, *found] + [
+        note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded
+    ]
     if not len(kept.runs):
         text = f"all {len(excluded)} runs are flagged as excluded, so that nothing is left; clear those that are sound"
         notes.append(checks.column_note("excluded", text, "excluded_all", "wrong"))

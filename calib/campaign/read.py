@@ -11,8 +11,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign import run_table
-from calib.campaign.log_reading import read_logs
-from calib.campaign.logs import log_files
+from calib.campaign.logs import log_files, read_logs
 from calib.campaign.model import REFERENCE_POSE, SIMULATED_POSE, Border, Campaign, Logs, RunTable
 from calib.campaign.readers import READERS, is_bag_folder, read_table
 from calib.campaign.settings import WHEEL_LOADS

@@ -79,6 +79,8 @@ def parse_settings(document: dict[str, object], shown: str, default_name: str) -
     encoder = part.checked("encoder", _counts(part, vehicle))
     radii = dict.fromkeys(("radius_left_m", "radius_right_m"), vehicle.wheel_radius_m)
     nominal = {**radii, "track_m": vehicle.track_m, "reference_load_N": vehicle.unladen_load_N}
+    for key in sorted(document.keys() - {*_SECTIONS, *_READ_LATER}):
+        part.say(key, "the section or key is not known and not used", "key")
     settings = Campaign(
         root=None,
         name=head.name,
@@ -97,6 +99,10 @@ def parse_settings(document: dict[str, object], shown: str, default_name: str) -
     )
     _check_together(settings, shown)
     return settings
+
+
+#: sections that fit, diagnosis, report and certificate read
+_READ_LATER: Final = ("uncertainty", "effects", "report", "certificate")
 
 
 class _Sections:

@@ -113,11 +113,12 @@ def check(
     from calib.campaign.check import check_campaign
     from calib.campaign.read import read_or_ingest
     from calib.documents import plain
+    from calib.reporting.source import refused_settings
     from calib.reporting.topics.runs import after_check, check_content
 
     with terminal.progress("checking") as tick:
         read = read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick)
-        report = check_campaign(read, tick)
+        report = check_campaign(read, tick, refused_settings(read))
     parts = ("campaign", "simulated", "sound", "verdict", "found", "wrong", "suspicious", "info")
     terminal.answer({part: plain(getattr(report, part)) for part in parts}, check_content(report))
     terminal.then(after_check(report, {*read.logs.columns, *read.runs.labels, *read.runs.numbers}), c=campaign)

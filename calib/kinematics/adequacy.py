@@ -95,9 +95,9 @@ class Residuals:
 
     @property
     def figures(self) -> dict[str, float]:
-        """The sizes by name; 0 where nothing was measured."""
+        """The sizes by name; NaN where nothing was measured."""
         sizes = {"before": self.before, "after": self.after, "noise": self.expected, "held_out": self.held_out}
-        return sizes if self.before or self.after else dict.fromkeys(sizes, 0.0)
+        return sizes if self.before or self.after else dict.fromkeys(sizes, math.nan)
 
 
 def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tuple[GeometryVerdict, tuple[str, ...]]:

@@ -34,7 +34,7 @@ def route_table(
 ) -> tuple[RouteResidual, ...]:
     """Return the residuals by kind of route, else by the sense of the turn.
 
-    `before`, `after` (shape (n, 3)): of the nominal and the calibrated vehicle.
+    `before`, `after` (shape (n, 3)): of the nominal and the calibrated vehicle, NaN where not measured.
     """
     kind = recording.kind[segments.run]
     if (kind == "").all():
@@ -42,7 +42,7 @@ def route_table(
         kind = np.where(turn > 1.0, "turns left", np.where(turn < -1.0, "turns right", "hardly turns"))
     parts = {str(name): (before[kind == name], after[kind == name]) for name in np.unique(kind)}
     return tuple(
-        RouteResidual(name, len(new), Channels.rms(old), Channels.rms(new), Channels(*new.mean(axis=0).tolist()))
+        RouteResidual(name, len(new), Channels.rms(old), Channels.rms(new), Channels.mean(new))
         for name, (old, new) in parts.items()
     )
 
@@ -78,6 +78,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     faults = (*faults, *(Fault("counts_lost", note.sentence, seen=True) for note in interrupted_counts(campaign)))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
+    left = np.where(seen := whole.segments.seen, after.residuals, np.nan)
     outliers = _outliers(model, solution)
     off = np.isin(model.recording.run_id, outliers)[whole.segments.run]
     good = replace(whole.segments, seen=whole.segments.seen & ~off[:, None])
@@ -104,12 +105,12 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         clusters=(fitted.uncertainty.by, fitted.uncertainty.clusters),
         noise=noise,
         noise_expected=expected,
-        residual_rms=Channels.rms(after.residuals),
+        residual_rms=Channels.rms(left),
         outliers=outliers,
         faults=judgement.faults,
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
-        routes=route_table(model.recording, whole.segments, before.residuals, after.residuals),
+        routes=route_table(model.recording, whole.segments, np.where(seen, before.residuals, np.nan), left),
         notes=tuple(_notes(fitted, whole, campaign.vehicle.drive)),
         inputs=campaign.hashes,
         judgement=judgement,

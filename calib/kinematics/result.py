@@ -37,8 +37,14 @@ class Channels(NamedTuple):
 
     @staticmethod
     def rms(residuals: FloatArray) -> "Channels":
-        """Return the root mean square of each column of residuals, shape (n, 3)."""
-        return Channels(*np.sqrt(np.square(residuals).sum(axis=0) / max(len(residuals), 1)).tolist())
+        """Return the root mean square of each column of residuals, shape (n, 3); NaN where none was measured."""
+        return Channels(*np.sqrt(Channels.mean(np.square(residuals))).tolist())
+
+    @staticmethod
+    def mean(values: FloatArray) -> "Channels":
+        """Return the mean of each column of values, shape (n, 3), that are not NaN; NaN without any."""
+        n = np.isfinite(values).sum(axis=0)
+        return Channels(*(np.nansum(values, axis=0) / np.where(n, n, np.nan)).tolist())
 
 
 @dataclass(frozen=True, slots=True)

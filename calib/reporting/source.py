@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from calib import __version__
-from calib.campaign.model import Campaign
+from calib.campaign.model import Campaign, Note
 from calib.documents import to_json
-from calib.errors import BadFileError, RefusedError, refuse_other_than_date
+from calib.errors import BadFileError, CalibError, RefusedError, refuse_other_than_date
 from calib.io import inside
 from calib.reporting import catalogue
 from calib.types import Progress, silent
@@ -164,6 +164,26 @@ def stated_of(campaign: Campaign) -> dict[str, str]:
     """Return what the ``[report]`` section of a campaign states, by the keys of `STATED`."""
     where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
     return texts_of(campaign.extra.get("report"), where)
+
+
+def refused_settings(campaign: Campaign) -> list[Note]:
+    """Return what fit, diagnosis or report refuse of the settings, as faults of the campaign."""
+    from calib.gap.effects.columns import declared_effects
+    from calib.radius.effective import declared_sources
+
+    faults = []
+    for section, read in (
+        ("report", lambda: (stated_of(campaign), logo_of(campaign))),
+        ("uncertainty", lambda: declared_sources(campaign)),
+        ("effects", lambda: declared_effects(campaign.extra["effects"], campaign.runs.numbers, ())),
+    ):
+        if section in campaign.extra:
+            try:
+                read()
+            except CalibError as error:
+                where, _, text = str(error).partition(": ")
+                faults.append(Note("wrong", f"campaign.toml{where.partition('campaign.toml')[2]}", text, "settings"))
+    return faults
 
 
 def texts_of(section: Any, where: Path | str) -> dict[str, str]:

@@ -94,3 +94,35 @@ def test_many_of_a_kind_are_named_in_part(
     assert "and 52 more like these: missing log" in shown
     assert run(["check", str(folder), "--json", "-"]) == 1
     assert len(json.loads(capsys.readouterr().out)["wrong"]) == 60
+
+
+def test_settings_that_a_later_command_refuses_are_wrong_and_unknown_ones_are_named(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(folder, other)
+    settings = (other / "campaign.toml").read_text(encoding="utf-8")
+    added = """
+[report]
+foo = 3
+[uncertainty.moon]
+scale = {std = 1.0}
+[[effects]]
+id = "tyres"
+column = "nowhere"
+acts_on = "both"
+typical = 1e-3
+largest = 1e-2
+[bananas]
+a = 1
+"""
+    (other / "campaign.toml").write_text("blah = 3\n" + settings + added, encoding="utf-8")
+    assert run(["check", str(other), "--json", "-"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert [note["where"].rpartition(" ")[2] for note in found["wrong"]] == [
+        "report.foo",
+        "uncertainty.moon.scale",
+        "effects[0].column",
+    ]
+    unknown = [note["where"] for note in found["suspicious"] if "not known" in note["text"]]
+    assert [where.rpartition(" ")[2] for where in unknown] == ["bananas", "blah"]

@@ -164,3 +164,17 @@ def test_what_a_failed_check_names_comes_before_runs_that_are_missing(
     alone = replace(made, runs=replace(made.runs, labels={**made.runs.labels, "session": one}))
     assert run(["fit", str(write_campaign(alone, tmp_path / "one_session"))]) == 1
     assert "Next: 'calib plan" in capsys.readouterr().out
+
+
+def test_after_raw_files_a_campaign_is_made_first(
+    project_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Report and export take a campaign: of a table alone the next step makes one."""
+    shutil.copytree(project_root / "sample_runs" / "corridor_crossed", tmp_path / "c")
+    (tmp_path / "c" / "campaign.toml").rename(tmp_path / "kept.toml")
+    run(["fit", str(tmp_path / "c" / "runs.csv")])
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last.startswith("Next: 'calib ingest ") and "--into CAMPAIGN', then " in last
+    (tmp_path / "kept.toml").rename(tmp_path / "c" / "campaign.toml")
+    assert run(["fit", str(tmp_path / "c")]) == 0
+    assert "ingest" not in capsys.readouterr().out.splitlines()[-1]

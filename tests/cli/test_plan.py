@@ -44,6 +44,8 @@ def test_the_next_run_of_the_corridor_campaign_splits_load_and_session(
     first = json.loads(capsys.readouterr().out)["next_runs"][0]
     assert first["payload_kg"] > 0
     assert "load_radius from session_step" in first["why"]
+    # all runs were driven so fast: another speed tells hardly more, and would be a second difference
+    assert first["speed_mps"] == 0.5
 
 
 def test_only_candidates_given_are_named(

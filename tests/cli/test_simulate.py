@@ -260,3 +260,18 @@ def test_the_same_seed_gives_the_same_text_and_another_one_other_draws(
         assert run([*arguments, "--json", "-"]) == 0
         made.append(capsys.readouterr().out)
     assert made[0] == made[1] != made[2]
+
+
+def test_what_comes_from_a_simulated_law_says_so(
+    project_root: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Text, JSON and every figure; a study without a law is of no data."""
+    law = str(project_root / "sample_runs" / "corridor_crossed")
+    assert run(["simulate", "journey", "--law", law, "--load", "500,700", "--output", str(tmp_path / "o")]) == 0
+    assert "SIMULATED DATA" in capsys.readouterr().out
+    assert json.loads((tmp_path / "o" / "custom.json").read_text())["law"]["simulated"] is True
+    figures = sorted((tmp_path / "o").glob("*.svg"))
+    assert figures and all("SIMULATED DATA" in path.read_text() for path in figures)
+    assert run(["simulate", "study", "symmetric", "--output", str(tmp_path / "s")]) == 0
+    assert "SIMULATED" not in capsys.readouterr().out
+    assert not any("SIMULATED DATA" in path.read_text() for path in (tmp_path / "s").glob("*.svg"))

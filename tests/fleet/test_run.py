@@ -254,3 +254,14 @@ def test_a_dask_worker_that_dies_costs_its_own_task_only(scheduler: str) -> None
     with engine(scheduler=scheduler) as opened:
         results = list(opened.run(_dies_at_seven, list(range(40)), lambda item, why: -item))
     assert sorted(results) == sorted([*(k * k for k in range(40) if k != 7), -7])
+
+
+def test_a_vehicle_whose_settings_are_missing_is_named(tmp_path: Path) -> None:
+    folder, kept = tmp_path / "fleet", tmp_path / "kept"
+    for name in ("a", "b"):
+        shutil.copytree(ROOT / "sample_runs" / "corridor_crossed", folder / name)
+    (folder / "b" / "campaign.toml").unlink()
+    (folder / "notes").mkdir()
+    by_name = {record.vehicle: record for record in fit_fleet(folder, kept).records}
+    assert sorted(by_name) == ["a", "b"] and by_name["a"].status == "fitted"
+    assert "campaign.toml: found no such file" in by_name["b"].why

@@ -239,6 +239,22 @@ def test_radii_and_track_that_were_fitted_together_err_together() -> None:
     assert path.corrected.std["heading_rad"][-1] == pytest.approx(turned / 0.7, rel=1e-6)
 
 
+def test_a_wheel_that_hardly_scatters_costs_what_was_fitted_together_no_degrees_of_freedom() -> None:
+    """The left wheel far beyond its loads has all of the variance: its 58 count, not the right one's four."""
+    own = law()
+    right = replace(own.right, dof=4.0)
+    joint = RadiusLaw(own.left, right).covariance()
+    given, at, route = RadiusLaw(own.left, right, joint), (5000.0, 700.0), find_route("corridor")
+    rng = np.random.default_rng(2)
+    journey = law_journey(given, route, loads_N=at, reference_N=at, track_m=0.7, band="mean", draws=100, rng=rng)
+    alone = law_journey(
+        RadiusLaw(own.left, right), route, loads_N=at, reference_N=at, track_m=0.7, band="mean", draws=100, rng=rng
+    )
+    halves = [float(np.diff(one.corrected["lateral_m"].linear)[0]) for one in (journey, alone)]
+    # wheels that err apart need no degrees of freedom in common; the right one has a 150th of the variance
+    assert halves[0] == pytest.approx(halves[1], rel=0.01)
+
+
 def test_one_degree_of_freedom_draws_no_wheel_below_nothing() -> None:
     """Two sessions leave Student's t with one: its tails are no lengths, and its 95 % as wide as by propagation."""
     given, route = law(dof=1.0, residual_m=2e-4), find_route("corridor")

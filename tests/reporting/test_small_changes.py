@@ -19,10 +19,10 @@ def test_a_small_share_is_not_printed_as_none(share: float | None, text: str) ->
 @pytest.mark.parametrize(
     ("ratio", "text"),
     [
-        (3.14, "3.1 times smaller"),
+        (3.14, "3.14 times smaller"),
         (1.04, "neither smaller nor larger (1.04 times)"),
         (0.97, "neither smaller nor larger (0.97 times)"),
-        (0.5, "2.0 times larger"),
+        (0.5, "2 times larger"),
     ],
 )
 def test_an_error_is_not_one_time_smaller(ratio: float, text: str) -> None:

@@ -125,3 +125,19 @@ def test_a_file_with_a_broken_section_is_refused(driven: tuple[Campaign, Observa
     path.write_text(json.dumps(document))
     with pytest.raises(CoefficientError, match="checksum"):
         Effects.from_file(path)
+
+
+def test_effects_that_follow_what_is_not_known_of_a_run_are_named(
+    driven: tuple[Campaign, Observations], tmp_path: Path
+) -> None:
+    """They act as in the mean of the runs, and a vehicle may ask which: a broken thermometer is no 20 degrees."""
+    made, s = driven
+    sections = [*sections_of("temperature_radius", s), *sections_of("radius_scale", s)]
+    path = tmp_path / "c.json"
+    path.write_bytes(coefficient_file(made, s, sections).to_bytes())
+    effects = Effects.from_file(path)
+    loads = {"load_left_N": float(s.number("load_left_N")[0]), "load_right_N": float(s.number("load_right_N")[0])}
+    effects.begin(Run(**loads))
+    assert set(effects.unknown) == {"temperature_radius"}
+    effects.begin(Run(**loads, temperature_C=20.0))
+    assert effects.unknown == ()

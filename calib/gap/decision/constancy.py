@@ -296,30 +296,25 @@ def unchecked(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, str]:
 
 
 def _between_samples(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
-    """Return all causes where steering between samples, alike in runs of a condition, may do what they correct."""
-    seen, held_out = evidence.observations, evidence.held_out
+    """Return causes whose part is mostly within what the steering may do between samples, alike in repeated runs."""
+    seen, blocks = evidence.observations, evidence.left_out.weighting.system.blocks
     if not seen.by_front or seen.windowed:
         return {}
     turn = turn_between_samples_rad(evidence.situation.campaign.included())[seen.run]
     # as a heading that wanders moves the ends
-    wander = np.diagonal(kernels(evidence.nominal)[_HEADING_WALK], axis1=1, axis2=2)[:, :4]
-    reach = turn[:, None] ** 2 * wander / np.maximum(wander[:, 3:], 1e-300)
-    # squares in noise levels that are corrected, and of these what is beyond the steering's reach, by condition
-    squares = np.zeros(2)
-    for own in (seen.condition == number for number in np.unique(seen.condition)):
-        corrected = np.nan_to_num(held_out.before - held_out.after)[own, :4].mean(axis=0) ** 2
-        beyond = np.maximum(corrected - reach[own].mean(axis=0), 0.0)
-        noise = (evidence.noise.floor[own, :4] ** 2).mean(axis=0)
-        squares += np.where(
-            seen.usable[own, :4].any(axis=0), own.sum() * np.stack([corrected, beyond]) / noise, 0.0
-        ).sum(axis=1)
-    if squares[1] > HALF_CLOSURE * squares[0]:
-        return {}
+    wander = np.diagonal(kernels(evidence.nominal)[_HEADING_WALK], axis1=1, axis2=2)
+    reach = turn[:, None] ** 2 * wander / np.maximum(wander[:, 3:4], 1e-300) / evidence.noise.floor**2
     text = (
         f"the steering angle moves so far between two samples that a run's heading is open by {1e3 * turn.mean():.2g} "
-        "mrad, and what is corrected is within that; log the steering more often"
+        "mrad, and what {} does is within that; log the steering more often"
     )
-    return dict.fromkeys(names, text)
+    squares = {name: acts**2 for name, acts in _contributions(evidence, names).items()}
+    within = (np.minimum(square, reach[blocks.unit, blocks.channel]).sum() for square in squares.values())
+    return {
+        name: text.format(name)
+        for (name, square), least in zip(squares.items(), within, strict=True)
+        if least > HALF_CLOSURE * square.sum()
+    }
 
 
 def _at_a_place(evidence: Evidence, names: Collection[str]) -> dict[str, str]:

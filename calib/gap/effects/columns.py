@@ -122,8 +122,8 @@ class Declared(_OfColumn):
         return replace(super().form(values, acts_on, parameter, label), settings={"mean": self.centre(values).mean})
 
 
-def declared_effects(declared: object, observations: Observations, taken: Collection[str]) -> list[Effect]:
-    """Return the effects of the ``[[effects]]`` tables, which act through columns of the run table.
+def declared_effects(declared: object, columns: Collection[str], taken: Collection[str]) -> list[Effect]:
+    """Return the effects of the ``[[effects]]`` tables, which act through numeric `columns` of the run table.
 
     No id is `taken` twice. Nothing in a declaration is ever evaluated; an error names the key that cannot be used.
     """
@@ -138,8 +138,8 @@ def declared_effects(declared: object, observations: Observations, taken: Collec
         entry = _validated(table, where)
         if entry.id in used:
             raise _wrong(f"{where}.id", entry.id, "an id that no other effect has", "choose another id")
-        if entry.column not in observations.numbers:
-            remedy = f"add the column to runs.csv or name one of: {', '.join(sorted(observations.numbers))}"
+        if entry.column not in columns:
+            remedy = f"add the column to runs.csv or name one of: {', '.join(sorted(columns))}"
             raise _wrong(f"{where}.column", entry.column, "a numeric column of the run table", remedy)
         if entry.largest < entry.typical:
             expected = f"no less than typical ({entry.typical:g})"

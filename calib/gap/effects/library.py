@@ -159,7 +159,7 @@ def _all(observations: Observations, declared: object) -> tuple[list[Effect], li
     taken_columns = {column for effect in registered for column in effect.columns}
     covariates = [Covariate(name) for name in covariate_columns(observations) if name not in taken_columns]
     taken = [effect.id for effect in (*registered, *covariates)]
-    own = declared_effects(declared, observations, taken)
+    own = declared_effects(declared, observations.numbers, taken)
     own += entry_point_effects([*taken, *(effect.id for effect in own)])
     refuse_beyond(
         len(covariates) + len(own),

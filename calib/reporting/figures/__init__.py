@@ -221,7 +221,7 @@ def write_figures(
     force: bool = False,
     progress: Progress = silent,
 ) -> list[Path]:
-    """Write figures, by name of their files, into a folder in every format of `FORMS`; `simulated` is marked.
+    """Write figures, by name of their files, into a folder in every format of `FORMS`; for `simulated` see `marked`.
 
     Raises BadInputError where a file exists, unless `force`; nothing is then written.
     """

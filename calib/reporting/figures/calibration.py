@@ -352,7 +352,8 @@ def correlations(names: Sequence[str], covariance: FloatArray) -> Figure:
     std = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(std, std)
     size = len(names)
-    figure = canvas(min(0.58 * size + 2.4, 8.6), 12.5)
+    # slanted labels take their room below
+    figure = canvas(min(0.58 * size + 1.2 + 0.1 * max(map(len, names)), 10.0), 12.5)
     axes = figure.subplots()
     axes.imshow(np.abs(correlation), cmap="Blues", vmin=0.0, vmax=1.6)
     for (row, column), value in np.ndenumerate(correlation):

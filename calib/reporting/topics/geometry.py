@@ -15,7 +15,7 @@ from calib.fleet.run import Fleet, Survey
 from calib.kinematics.adequacy import LACK_OF_FIT, USELESS_SHARE, GeometryVerdict
 from calib.kinematics.result import Estimate, Geometry, RouteResidual, RunTrace
 from calib.reporting import Block, Facts, Notice, Picture, Section, Table, Text, items, paragraph, picture, table
-from calib.reporting.formatting import MISSING, capital, places, plural, prose
+from calib.reporting.formatting import MISSING, capital, fixed, places, plural, prose
 from calib.types import few_digits, grouped
 
 _ROUTE: Final = (
@@ -118,8 +118,9 @@ def _cells(estimate: Estimate, *, held: bool = False) -> tuple[str, ...]:
 
 def _route_cells(route: RouteResidual) -> tuple[str, ...]:
     sizes = [(math.hypot(along, across), turn) for along, across, turn in (route.before_rms, route.after_rms)]
-    errors = [f"{1e3 * size:.1f}" for pair in sizes for size in pair]
-    return (route.kind or "(none)", str(route.n), *errors, *(f"{1e3 * mean:+z.1f}" for mean in route.after_mean))
+    errors = [fixed(1e3 * size, 1) for pair in sizes for size in pair]
+    means = (MISSING if math.isnan(mean) else f"{1e3 * mean:+z.1f}" for mean in route.after_mean)
+    return (route.kind or "(none)", str(route.n), *errors, *means)
 
 
 def geometry_brief(geometry: Geometry) -> tuple[Block, ...]:
@@ -191,7 +192,7 @@ def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
 
 
 def _correlation(geometry: Geometry) -> tuple[Block, ...]:
-    names = [estimate.name for estimate in geometry.estimates]
+    names = [shown_quantity(estimate.name)[0] for estimate in geometry.estimates]
     remark = "Parameters that correlate beyond 0.9, in bold, are known better together than each by itself."
     alt = f"Correlation of {', '.join(names)}"
     shown = picture("geometry-correlation", alt, "calibration.correlations", names, geometry.covariance)

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.campaign import log_reading, model, write_campaign
+from calib.campaign import logs as reading
+from calib.campaign import model, write_campaign
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.errors import BadFileError
@@ -45,7 +46,7 @@ def test_the_first_fault_in_the_order_of_runs_is_named(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
 ) -> None:
     """Two bad logs: the earlier is raised however many threads read; lenient, both are noted in their order."""
-    monkeypatch.setattr(log_reading, "_processors", lambda: threads)
+    monkeypatch.setattr(reading, "_processors", lambda: threads)
     folder = tmp_path / "c"
     shutil.copytree(source, folder)
     logs = sorted((folder / "logs").iterdir())
@@ -92,3 +93,13 @@ def test_columns_in_a_file_are_the_columns(source: Path, monkeypatch: pytest.Mon
     columns = found.logs.columns
     held = [np.shares_memory(columns[name], columns[name]) for name in columns]
     assert any(held) == (world != "all in the file")
+
+
+def test_a_log_of_one_sample_is_no_log(source: Path, tmp_path: Path) -> None:
+    """Cut short by its logger: its run would be one without a path, and nobody would know."""
+    folder = tmp_path / "c"
+    shutil.copytree(source, folder)
+    log = sorted((folder / "logs").iterdir())[0]
+    log.write_text("\n".join(log.read_text().splitlines()[:2]) + "\n")
+    with pytest.raises(BadFileError, match="found 1 rows; expected one row a sample, two or more"):
+        read_campaign(folder)
