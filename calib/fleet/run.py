@@ -313,6 +313,7 @@ def _geometry(member: Member) -> dict[str, object]:
         "estimates": {estimate.name: plain_fields(estimate) for estimate in geometry.estimates},
         "undetermined": list(geometry.undetermined),
         "wrong": [fault.code for fault in geometry.faults],
+        "reasons": list(geometry.why),
     }
 
 

@@ -140,7 +140,7 @@ def test_runs_without_a_law_give_a_report_of_the_geometry(
     assert "GR-" in said and "calib geometry" in said
     assert pdf.read_bytes().startswith(b"%PDF") and b"geometry.json" in pdf.read_bytes()
     text = page.read_text(encoding="utf-8")
-    assert "These runs give no radius law" in text and "radius_left_m" in text
+    assert "These runs give no radius law" in text and "radius left" in text
     assert report(folder, tmp_path / "same.pdf", date="2026-01-01").read_bytes() == pdf.read_bytes()
 
 

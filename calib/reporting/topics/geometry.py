@@ -296,7 +296,8 @@ def _verdicts(survey: Survey) -> Table:
     for name, values in ((one.name, one.values) for one in survey.records if one.status != "failed"):
         what = [cause["effect"] for cause in values.get("causes", ())]
         what += [*values.get("wrong", ()), *values.get("suspicious", ())]
-        found.append(((values.get("verdict", MISSING), ", ".join(what) or MISSING), name))
+        what += [reason.partition(":")[0] for reason in values.get("reasons", ())]
+        found.append(((values.get("verdict", MISSING), ", ".join(dict.fromkeys(what)) or MISSING), name))
     alike = sorted(grouped(found).items(), key=lambda one: -len(one[1]))[:MAX_ROWS]
     rows = [(*words, str(len(names)), listed(names)) for words, names in alike]
     return table("Verdicts", ("<Verdict", "*Found", "Vehicles", "*Which"), rows)
