@@ -128,16 +128,17 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
 
 
 def turn_between_samples_rad(campaign: Campaign) -> FloatArray:
-    """Return how far the turn of each run is open, (n_runs,): its steering may move at any moment between two samples.
+    """Return how far the turn of each run is open, (n_runs,): its steering may bend at any moment between two samples.
 
-    That moment is uniform, with a twelfth of the change's square; a step has the mean of both ends, and two of these
-    changes have half of the square.
+    A jump is uniform over a step, with a twelfth of its square, and shows as two second differences of its size.
     """
     source, square = odometry_source(campaign), np.zeros(len(campaign.runs))
+    front, bend = campaign.model.steered(campaign.vehicle), np.tan if source == "shaft" else np.sin
+    per_m = counts_per_rev(campaign.encoder, source)[0] / (2 * np.pi * front.radius_m)
     for run, log in campaign.logs.each(2, *logged_columns(source)):
-        ahead, _, turn = _motion(campaign, campaign.model, source, log)
-        bent = np.divide(turn, ahead, out=np.zeros_like(turn), where=ahead != 0.0)
-        square[run] = float(np.nansum((np.diff(bent) * ahead[1:]) ** 2)) / 6.0
+        way_m = np.abs(np.diff(log[WHEEL_COLUMNS[source][0]])) / per_m
+        bent = np.diff(bend(log["steer_rad"]), 2) * np.maximum(way_m[1:], way_m[:-1]) / front.wheelbase_m
+        square[run] = float(np.nansum(bent**2)) / 24.0
     return np.sqrt(square)
 
 
