@@ -4,6 +4,7 @@ Wrong are blunders in units and settings: a factor beyond what wear, load or a p
 """
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -237,6 +238,9 @@ def check_campaign(campaign: Campaign, progress: Progress = silent, more: Iterab
             notes.extend(check(kept))
     lacking = {f"looks like {name}" for name in _NEEDED if not np.isfinite(kept.runs.number(name)).any()}
     notes = [replace(one, level="wrong") if one.text.partition(" and ")[0] in lacking else one for one in notes]
+    # what is wrong in its row is not told of its column, too
+    told = {re.sub(", row [0-9]+", "", note.where) for note in notes if note.run_id and note.level == "wrong"}
+    notes = [note for note in notes if note.run_id or note.level != "wrong" or note.where not in told]
     names = ("wrong", "suspicious", "info")
     levels = {level: tuple(dict.fromkeys(note for note in notes if note.level == level)) for level in names}
     return CheckReport(campaign.name, campaign.simulated, _summarise(campaign), **levels)
