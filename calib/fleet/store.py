@@ -67,11 +67,10 @@ def _campaigns(folder: Path) -> tuple[Member, ...]:
     members = []
     for path in sorted(folder.iterdir()):
         try:
-            known = [name for name in (*(f"runs{suffix}" for suffix in READERS), SETTINGS) if (path / name).exists()]
-            if not known and not (path / SETTINGS).is_symlink():
+            table = next((f"runs{suffix}" for suffix in READERS if (path / f"runs{suffix}").exists()), "")
+            if not table and not (path / SETTINGS).exists() and not (path / SETTINGS).is_symlink():
                 continue
-            table = known[0] if known and known[0] != SETTINGS else "runs.csv"
-            part = replace(_part(folder, f"{path.name}/{table}", path), whole=True)
+            part = replace(_part(folder, f"{path.name}/{table or 'runs.csv'}", path), whole=True)
         except OSError as error:
             part = Part(f"{path.name}/runs.csv", path / "runs.csv", path, why=one_line(error))
         members.append(Member(path.name, (part,)))

@@ -48,7 +48,7 @@ def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
     campaign, text = Path(str(names.get("c", ""))), catalogue()["next"][step]
     names["runs"] = campaign if (campaign / "campaign.toml").is_file() else "CAMPAIGN"
     of_files = step.startswith(("fit", "diagnose", "geometry")) and campaign.exists() and names["runs"] != campaign
-    if of_files and any(f"calib {command} {{c}}" in text for command in ("plan", "report", "export")):
+    if of_files and any(f"{command} {{c}}" in text for command in ("plan", "report", "export")):
         names |= {"c": "CAMPAIGN", "files": campaign}
         text = "'calib ingest {files} --into CAMPAIGN', then " + text
     words = {name: [one] if isinstance(one, str | Path) else one for name, one in names.items()}

@@ -298,23 +298,20 @@ def unchecked(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, str]:
 def _between_samples(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
     """Return causes whose part is mostly within what the steering may do between samples, alike in repeated runs."""
     seen, blocks = evidence.observations, evidence.left_out.weighting.system.blocks
-    if not seen.by_front or seen.windowed:
+    if not seen.by_front:
         return {}
     turn = turn_between_samples_rad(evidence.situation.campaign.included())[seen.run]
+    turn /= np.sqrt(np.bincount(seen.run)[seen.run])  # of each window of a recording
     # as a heading that wanders moves the ends
     wander = np.diagonal(kernels(evidence.nominal)[_HEADING_WALK], axis1=1, axis2=2)
     reach = turn[:, None] ** 2 * wander / np.maximum(wander[:, 3:4], 1e-300) / evidence.noise.floor**2
-    text = (
-        f"the steering angle moves so far between two samples that a run's heading is open by {1e3 * turn.mean():.2g} "
-        "mrad, and what {} does is within that; log the steering more often"
-    )
-    squares = {name: acts**2 for name, acts in _contributions(evidence, names).items()}
-    within = (np.minimum(square, reach[blocks.unit, blocks.channel]).sum() for square in squares.values())
-    return {
-        name: text.format(name)
-        for (name, square), least in zip(squares.items(), within, strict=True)
-        if least > HALF_CLOSURE * square.sum()
-    }
+    text = f"is within what the steering may do between two samples ({1e3 * turn.mean():.2g} mrad); log it more often"
+    open_ones = {}
+    for name, acts in _contributions(evidence, names).items():
+        square = acts**2
+        if np.minimum(square, reach[blocks.unit, blocks.channel]).sum() > HALF_CLOSURE * square.sum():
+            open_ones[name] = f"{name} {text}"
+    return open_ones
 
 
 def _at_a_place(evidence: Evidence, names: Collection[str]) -> dict[str, str]:

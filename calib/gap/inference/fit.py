@@ -25,6 +25,8 @@ _MAX_HALVINGS: Final = 10
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
+#: a step of more standard uncertainties is far: the path moves effects by some hundredths, a third of one uncertainty
+_FAR_STEP: Final = 10.0
 #: chance that noise alone passes for a recalibration
 BY_CHANCE: Final = 0.001
 
@@ -111,6 +113,17 @@ def hypothesis_path(
     # the steps of all observations at once are never needed
     parts = about.parts() if None in whole else [(slice(0, len(s)), about)]
     return predict(s, [joined_perturbation(s, ((units, total(units, part)) for units, part in parts))])
+
+
+def path_after(
+    step_sd: float, about: Path, calibration: FloatArray, forms: Sequence[Form], theta: Sequence[FloatArray]
+) -> Path:
+    """Re-simulate after a step of so many standard uncertainties, a far one about its own path; see `hypothesis_path`.
+
+    Effects act along that: about the path before the step seems to fit too well, and none from there fits better.
+    """
+    path = hypothesis_path(about.s, calibration, forms, theta, about)
+    return hypothesis_path(about.s, calibration, forms, theta, path) if forms and step_sd > _FAR_STEP else path
 
 
 def recalibration_columns(path: Path) -> FloatArray:
@@ -211,7 +224,7 @@ def fit(
         largest = float((np.abs(step) * np.sqrt(np.diag(normal))).max())
         for _ in range(_MAX_HALVINGS):
             calibration, theta = misfit.sizes(now + step)
-            trial = hypothesis_path(s, calibration, forms, theta, path)
+            trial = path_after(largest, path, calibration, forms, theta)
             lower = misfit.cost(trial, now + step)
             if lower <= reached * (1.0 + _ROUNDING):
                 break

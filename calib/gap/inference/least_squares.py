@@ -137,7 +137,8 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
         return system.fitted
     for halvings in range(_STEP_HALVINGS + 1):
         values = present + (sizes - present) / 2**halvings
-        fitted, left = _simulated_at(system, model, values * units, covariance * np.outer(units, units))
+        step_sd = float((np.abs(values - present) / np.sqrt(np.diag(covariance))).max())
+        fitted, left = _simulated_at(system, model, values * units, covariance * np.outer(units, units), step_sd)
         most = before if stays else _MAX_MISFIT_RATIO * max(before, weighting.square(system.gap - columns @ values))
         if weighting.square(left) <= most:
             return fitted
@@ -145,11 +146,11 @@ def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weigh
 
 
 def _simulated_at(
-    system: LinearSystem, model: Sequence[int], values: FloatArray, covariance: FloatArray
+    system: LinearSystem, model: Sequence[int], values: FloatArray, covariance: FloatArray, step_sd: float
 ) -> tuple[Fitted, FloatArray]:
     forms, calibration = tuple(system.forms[k] for k in model), values[:4]
     theta = tuple(by_form(forms, values))
-    path = fitting.hypothesis_path(system.path.s, calibration, forms, theta, system.path)
+    path = fitting.path_after(step_sd, system.path, calibration, forms, theta)
     left = residuals(path, system.nominal)
     white = whitened(path, system.noise, left)[system.blocks.order]
     return Fitted(forms, theta, calibration, covariance, path, float(white @ white), left), white

@@ -52,3 +52,14 @@ def test_an_angle_that_never_moves_while_the_vehicle_turns_is_refused(tmp_path: 
     made = campaign(tmp_path / "car", Truth(), runs=RUNS)
     with pytest.raises(BadInputError, match="throughout, while the vehicle turned"):
         diagnose_in_full(read_campaign(spoilt(made, "steer_rad", lambda angle: 0.0 * angle + still_rad)), plan=False)
+
+
+def test_an_effect_that_acts_along_its_own_path_is_fitted_about_that(tmp_path: Path) -> None:
+    """Curvature over 1 + K v^2, up to a sixth less: about the nominal path K came out 8 % too small."""
+    truth = Truth(radius=1.0, wheelbase=1.0, zero_rad=0.0, sensor=(0.0, 0.0, 0.0), understeer=0.03, fastest_mps=2.5)
+    diagnosis = diagnose_in_full(read_campaign(campaign(tmp_path / "car", truth, runs=8)), plan=False)
+    named = {cause.effect: cause for cause in diagnosis.causes}
+    low, high = named["understeer"].parameters["per_speed_squared"].ci95
+    assert low < truth.understeer < high
+    # known well enough to tell: the difference above is several of these
+    assert high - low < 0.02 * truth.understeer
