@@ -205,7 +205,8 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
             row = int(line[gaps[0]])
             raise BadFileError(shown, "an empty cell", "a number in every row", remedy, row=row, column=name)
     if len(line) < 2:
-        raise BadFileError(shown, f"{len(line) or 'no'} rows", "one row a sample, two or more", "export the log again")
+        found = "one row" if len(line) else "no rows"
+        raise BadFileError(shown, found, "one row a sample, two or more", "export the log again")
 
 
 def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray | None = None) -> int | None:

@@ -130,7 +130,7 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
 def turn_between_samples_rad(campaign: Campaign) -> FloatArray:
     """Return how far the turn of each run is open, (n_runs,): its steering may bend at any moment between two samples.
 
-    A jump is uniform over a step, with a twelfth of its square, and shows as two second differences of its size.
+    A jump is uniform over a step: a twelfth of its square. It shows as two second differences.
     """
     source, square = odometry_source(campaign), np.zeros(len(campaign.runs))
     front, bend = campaign.model.steered(campaign.vehicle), np.tan if source == "shaft" else np.sin

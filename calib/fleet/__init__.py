@@ -311,7 +311,9 @@ def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns)
 
 def shown_quantity(quantity: str) -> tuple[str, float, str]:
     """Return a quantity's name for people, and factor to and name of its unit there."""
-    for suffix, scale, unit in (("_m_per_N", 1e6, "µm/N"), ("_m", 1e3, "mm"), ("_rad", 1e3, "mrad"), ("_s", 1e3, "ms")):
+    by_slip = ("_s2_per_m2", 1.0, "s²/m²"), ("_s2_per_m", 1.0, "s²/m")
+    lengths = ("_m_per_N", 1e6, "µm/N"), ("_m", 1e3, "mm")
+    for suffix, scale, unit in (*by_slip, *lengths, ("_rad", 1e3, "mrad"), ("_s", 1e3, "ms")):
         if quantity.endswith(suffix):
             return quantity.removesuffix(suffix).removesuffix("_ref").replace("_", " "), scale, unit
     return quantity.replace("_", " "), 1.0, ""

@@ -125,7 +125,7 @@ def record_of(vehicle: str, parts: Sequence[PartSums]) -> VehicleRecord:
     of_sums = (_line(side, one, parts[0]) for side, one in zip(WHEELS, sums, strict=True))
     left, right = parts[0].lines or of_sums
     if left is None or right is None:
-        why = f"{n_runs} runs carry no line; expected three or more, at two loads or more; see calib fit for a radius"
+        why = f"{n_runs} runs carry no line; expected three or more, at two loads or more"
         return VehicleRecord(vehicle, n_runs, None, None, why)
     doubtful = tuple(check for part in parts for check in part.doubtful)
     return VehicleRecord(vehicle, n_runs, left, right, doubtful=doubtful)

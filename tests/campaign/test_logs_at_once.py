@@ -101,5 +101,5 @@ def test_a_log_of_one_sample_is_no_log(source: Path, tmp_path: Path) -> None:
     shutil.copytree(source, folder)
     log = sorted((folder / "logs").iterdir())[0]
     log.write_text("\n".join(log.read_text().splitlines()[:2]) + "\n")
-    with pytest.raises(BadFileError, match="found 1 rows; expected one row a sample, two or more"):
+    with pytest.raises(BadFileError, match="found one row; expected one row a sample, two or more"):
         read_campaign(folder)

@@ -18,6 +18,7 @@ from calib.fleet import (
     outlying,
     population,
     quantities_of,
+    shown_quantity,
 )
 
 #: 400 fleets: the standard error of a share of 95 % is 1.1 %; three of them either way
@@ -183,3 +184,17 @@ def test_an_outlier_is_as_far_from_the_fleet_as_from_the_mean_that_is_shown() ->
     assert f"{1e3 * away:+.3g} mm from the fleet's mean" in apart.why
     # a quantity without a unit has none, and no blank in its place
     assert Outlier("v", "gyro_scale", 1.5, 1.0, 9.0).why.startswith("gyro scale: 1.5, +0.5 from")
+
+
+@pytest.mark.parametrize(
+    ("quantity", "shown"),
+    [
+        ("track_m", ("track", 1e3, "mm")),
+        ("slope_left_m_per_N", ("slope left", 1e6, "µm/N")),
+        ("side_slip_s2_per_m", ("side slip", 1.0, "s²/m")),
+        ("understeer_s2_per_m2", ("understeer", 1.0, "s²/m²")),
+    ],
+)
+def test_a_quantity_is_shown_in_the_unit_of_its_name(quantity: str, shown: tuple[str, float, str]) -> None:
+    """A size of slip per acceleration is no length in millimetres."""
+    assert shown_quantity(quantity) == shown

@@ -296,12 +296,12 @@ def unchecked(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, str]:
 
 
 def _between_samples(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
-    """Return causes whose part is mostly within what the steering may do between samples, alike in repeated runs."""
+    """Return causes whose part is mostly within what the steering may do between samples."""
     seen, blocks = evidence.observations, evidence.left_out.weighting.system.blocks
     if not seen.by_front:
         return {}
     turn = turn_between_samples_rad(evidence.situation.campaign.included())[seen.run]
-    turn /= np.sqrt(np.bincount(seen.run)[seen.run])  # of each window of a recording
+    turn /= np.sqrt(np.bincount(seen.run)[seen.run])
     # as a heading that wanders moves the ends
     wander = np.diagonal(kernels(evidence.nominal)[_HEADING_WALK], axis1=1, axis2=2)
     reach = turn[:, None] ** 2 * wander / np.maximum(wander[:, 3:4], 1e-300) / evidence.noise.floor**2

@@ -25,7 +25,7 @@ _MAX_HALVINGS: Final = 10
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
-#: a step of more standard uncertainties is far: the path moves effects by some hundredths, a third of one uncertainty
+#: standard uncertainties of a far step: some hundredths of it, which the path moves effects by, are a third of one
 _FAR_STEP: Final = 10.0
 #: chance that noise alone passes for a recalibration
 BY_CHANCE: Final = 0.001
@@ -120,7 +120,7 @@ def path_after(
 ) -> Path:
     """Re-simulate after a step of so many standard uncertainties, a far one about its own path; see `hypothesis_path`.
 
-    Effects act along that: about the path before the step seems to fit too well, and none from there fits better.
+    Effects act along that: about the path before, the step seems to fit too well.
     """
     path = hypothesis_path(about.s, calibration, forms, theta, about)
     return hypothesis_path(about.s, calibration, forms, theta, path) if forms and step_sd > _FAR_STEP else path
