@@ -128,7 +128,7 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
 
 
 def turn_between_samples_rad(campaign: Campaign) -> FloatArray:
-    """Return how far the turn of each run is open, (n_runs,): its steering may bend at any moment between two samples.
+    """Return how uncertain the turn of each run is, (n_runs,): it may be steered at any moment between two samples.
 
     A jump is uniform over a step: a twelfth of its square. It shows as two second differences.
     """

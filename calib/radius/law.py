@@ -128,7 +128,7 @@ def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
 
 
 def shared_dof(variance: FloatArray, dof: FloatArray) -> FloatArray:
-    """Return the degrees of freedom of what was fitted together, each part's (..., k) weighted by its variance."""
+    """Return the degrees of freedom, (...), of parts fitted together, theirs (..., k) weighted by variance (..., k)."""
     weight = variance + 1e-300
     return np.asarray(weight.sum(axis=-1) / (weight / dof).sum(axis=-1))
 

@@ -306,12 +306,12 @@ def _between_samples(evidence: Evidence, names: Collection[str]) -> dict[str, st
     wander = np.diagonal(kernels(evidence.nominal)[_HEADING_WALK], axis1=1, axis2=2)
     reach = turn[:, None] ** 2 * wander / np.maximum(wander[:, 3:4], 1e-300) / evidence.noise.floor**2
     text = f"is within what the steering may do between two samples ({1e3 * turn.mean():.2g} mrad); log it more often"
-    open_ones = {}
+    hidden = {}
     for name, acts in _contributions(evidence, names).items():
         square = acts**2
         if np.minimum(square, reach[blocks.unit, blocks.channel]).sum() > HALF_CLOSURE * square.sum():
-            open_ones[name] = f"{name} {text}"
-    return open_ones
+            hidden[name] = f"{name} {text}"
+    return hidden
 
 
 def _at_a_place(evidence: Evidence, names: Collection[str]) -> dict[str, str]:

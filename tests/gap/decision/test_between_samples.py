@@ -74,10 +74,10 @@ def _write(folder: Path, rate_hz: float, *, zero_rad: float = 0.0) -> Path:
 
 
 def test_what_steering_may_do_between_samples_is_no_fix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is wrong; a heading is open by 40 mrad at 5 Hz, 4 at 20 Hz and 0.14 at 100 Hz, noise is 0.5."""
+    """Nothing is wrong; a heading is uncertain by 40 mrad at 5 Hz, 4 at 20 Hz and 0.14 at 100 Hz, noise is 0.5."""
     campaigns = {rate_hz: calib.read(_write(tmp_path / f"{rate_hz}", rate_hz)) for rate_hz in (5.0, 20.0, 100.0)}
-    open_rad = [float(turn_between_samples_rad(one).mean()) for one in campaigns.values()]
-    assert open_rad[0] > 0.03 > 0.005 > open_rad[1] > 0.003 > 0.0002 > open_rad[2]
+    uncertain_rad = [float(turn_between_samples_rad(one).mean()) for one in campaigns.values()]
+    assert uncertain_rad[0] > 0.03 > 0.005 > uncertain_rad[1] > 0.003 > 0.0002 > uncertain_rad[2]
     for rate_hz in (5.0, 20.0):
         diagnosis = diagnose_in_full(campaigns[rate_hz], plan=False)
         assert not diagnosis.recommended
@@ -87,7 +87,7 @@ def test_what_steering_may_do_between_samples_is_no_fix(tmp_path: Path, monkeypa
     assert all(diagnose_in_full(campaigns[rate_hz], plan=False).recommended for rate_hz in (5.0, 20.0))
 
 
-def test_a_zero_beyond_what_is_open_between_samples_is_corrected(tmp_path: Path) -> None:
+def test_a_zero_beyond_what_samples_leave_uncertain_is_corrected(tmp_path: Path) -> None:
     diagnosis = diagnose_in_full(calib.read(_write(tmp_path / "c", 100.0, zero_rad=0.005)), plan=False)
     assert diagnosis.recommended and diagnosis.causes[0].effect == "steering_zero"
     low, high = diagnosis.causes[0].parameters["zero"].ci95
