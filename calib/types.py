@@ -92,7 +92,7 @@ WAY_PER_RAD_M: Final = 0.1
 
 #: suffix as calib writes it -> suffixes as labs write it, each with its factor
 _FACTORS: Final[dict[str, dict[str, float]]] = {
-    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "ft": 0.3048, "in": 0.0254},
+    "m": {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "um": 1e-6, "ft": 0.3048, "yd": 0.9144, "in": 0.0254},
     "kg": {"kg": 1.0, "g": 1e-3, "t": 1e3, "lb": 0.45359237},
     "N": {"N": 1.0, "kN": 1e3, "daN": 10.0, "kgf": 9.80665, "lbf": 4.4482216152605},
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": 0.017453292519943295},
@@ -117,6 +117,7 @@ _SPELLINGS: Final[dict[str, str]] = {
         "um": "µm, μm, micron, microns",
         "in": 'inch, inches, "',
         "ft": "foot, feet",
+        "yd": "yard, yards",
         "day": "days, tage",
         "kg": "kilogram, kilograms, kilogramm, kgs",
         "g": "gram, grams, gramm",

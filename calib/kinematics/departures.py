@@ -44,7 +44,16 @@ CLOCK_RATE: Final = 5e-4
 #: recordings, and part of the longest that they differ by, from which their delays tell of a clock
 FEWEST_OF_A_CLOCK: Final = 4
 OF_TWO_LENGTHS: Final = 0.2
-SLIP_S_PER_RAD: Final = 0.01
+#: of the wheels' way, at 1 m/s, to the side, at 1 rad/s
+SLIP: Final = 0.01
+#: by way ahead, to the side and turn: code of the slip, what it grows with and what helps
+SLIPS: Final = (
+    ("speed_slip", "% per m/s of speed: the radii hold for these speeds alone; drive as in use"),
+    ("strafe_slip", "% on the way to the side, which the rollers do not carry; correct that way in the vehicle"),
+    ("turn_slip", "% per rad/s of yaw rate: radii and track hold for these turns alone; turn slower"),
+)
+ASIDE: Final = 1
+_ROLLERS: Final = np.array([-1.0, 1.0, 1.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +101,11 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     jacobian, residuals = whitened(solution, fitted.parameters.free)
     shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed)
     shift *= np.sqrt(solution.weights)[:, None]
-    flat, rest = jacobian.reshape(-1, jacobian.shape[2]), residuals.ravel()
-    both = np.column_stack([shift.ravel(), rest])
+    # each by its own scatter: in what all of them together know best, a size far off is not linear
+    back = np.linalg.inv(solution.whitener)
+    back /= np.sqrt(np.square(back).sum(axis=2))[:, :, None]
+    flat = (back @ jacobian).reshape(-1, jacobian.shape[2])
+    both = (back @ np.stack([shift, residuals], axis=2)).reshape(-1, 2)
     # without what the vehicle's parameters explain
     column, rest = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
     information = float(column @ column)
@@ -133,7 +145,11 @@ def _departures(model: Model, *, timed: bool, misfit: bool) -> Iterator[Departur
     whole = model.segments.are_runs_of(model.recording)
     share = EXPLAINED if whole else 0.0
     if model.recording.steps.steer_rad is None:
-        yield Departure(partial(_without_slip, drive=model.drive), SLIP_S_PER_RAD, _slip, share, CLEAR_SLIP)
+        share_of_slip = max(share, LEAD)
+        for rate, (code, text) in enumerate(SLIPS):
+            change, named = partial(_without_slip, drive=model.drive, rate=rate), partial(_slip, code=code, text=text)
+            if rate != ASIDE or isinstance(model.drive, drives.Mecanum):
+                yield Departure(change, SLIP, named, share_of_slip, CLEAR_SLIP)
     else:
         yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
         yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)
@@ -160,14 +176,16 @@ def _clock(rate: float) -> Fault:
     return Fault("clock_rate", f"{text}counts'; stamp both by one clock or divide its times by {1.0 + rate:.5g}")
 
 
-def _without_slip(recording: Recording, slip_s_per_rad: float, drive: drives.Drive) -> Recording:
-    yaw_radps = np.abs(smoothed_speed_mps(np.cumsum(drives.nominal_turn(drive, recording.steps)), recording.t_s))
-    return recording.with_turned(recording.steps.turned_rad / (1.0 + slip_s_per_rad * yaw_radps))
+def _without_slip(recording: Recording, slip: float, drive: drives.Drive, rate: int) -> Recording:
+    turned = recording.steps.turned_rad
+    if rate == ASIDE:
+        return recording.with_turned(turned - slip * np.outer(_ROLLERS, 0.25 * _ROLLERS @ turned))
+    done = np.cumsum(drives.nominal_motion(drive, recording.steps)[rate])
+    return recording.with_turned(turned / (1.0 + slip * np.abs(smoothed_speed_mps(done, recording.t_s))))
 
 
-def _slip(slip_s_per_rad: float) -> Fault:
-    text = f"the wheels slip by {100 * slip_s_per_rad:.2g} % per rad/s of yaw rate: radii and track hold for these "
-    return Fault("turn_slip", f"{text}turns alone; turn slower")
+def _slip(slip: float, code: str, text: str) -> Fault:
+    return Fault(code, f"the wheels slip by {100 * slip:.2g} {text}")
 
 
 def _without_play(recording: Recording, play_rad: float) -> Recording:

@@ -14,7 +14,7 @@ from calib.kinematics import Recording, blunder_search, departures, joint_fit, r
 from calib.kinematics.adequacy import LENGTHS_ALONE, rms
 from calib.kinematics.assemble import divisions, geometry_of, of_kinds
 from calib.kinematics.blunders import Fault, corrected, times_fault
-from calib.kinematics.drives import SENSOR, Drive, nominal_turn
+from calib.kinematics.drives import SENSOR, Drive, nominal_motion
 from calib.kinematics.joint_fit import Delay, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Segments, end_pose_segments
 from calib.kinematics.readings import implausible_lengths
@@ -59,7 +59,7 @@ def estimate_geometry(
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)
     recording = recording_of(campaign, source)
-    recording.refuse_constant_heading(nominal_turn(drive_of(campaign, source, recording), recording.steps))
+    recording.refuse_constant_heading(nominal_motion(drive_of(campaign, source, recording), recording.steps)[2])
 
     def estimated(way: Using) -> Geometry:
         task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
@@ -137,7 +137,7 @@ class _Task:
         return fit_parameters(self.campaign, drive, recording, segments, self.sensor, start)
 
     def with_whole_turns(self, recording: Recording) -> tuple[Recording, list[str]]:
-        return recording.with_whole_turns(nominal_turn(self.drive(recording), recording.steps))
+        return recording.with_whole_turns(nominal_motion(self.drive(recording), recording.steps)[2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,7 +239,7 @@ def _without_departure(fit: _Fit) -> Geometry:
         more_left = _mean_off_m(there, other.fitted) > _mean_off_m(fit.fitted.model, fit.fitted)
         if corrected.misfit or corrected.delays or more_left:
             return geometry
-    return geometry.doubted(fault) if corrected.misfit or fault.code == "turn_slip" else corrected
+    return geometry.doubted(fault) if corrected.misfit or fault.code.endswith("_slip") else corrected
 
 
 def _refined(fit: _Fit, departure: departures.Departure, size: float) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.kinematics import Recording
 from calib.kinematics.blunders import LARGEST_STEERING_RAD, NEAR, OF_A_COURSE, TWIST, Fault
-from calib.kinematics.drives import Drive, nominal_turn
+from calib.kinematics.drives import Drive, nominal_motion
 from calib.kinematics.joint_fit import Fitted
 from calib.types import BoolArray, FloatArray, since_start
 from calib.vehicle import SKID_TRACK
@@ -162,7 +162,7 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
     z = np.append(recording.reference[2], np.where(_followed(recording), 0.0, recording.end_pose[:, 2]))
     if not (np.abs(z[np.isfinite(z)]) <= LARGEST_Z).all():
         return
-    told, last = since_start(nominal_turn(drive, recording.steps), recording.offsets), recording.offsets[1:] - 1
+    told, last = since_start(nominal_motion(drive, recording.steps)[2], recording.offsets), recording.offsets[1:] - 1
 
     def headings(recording: Recording) -> Recording:
         # in a map a run starts at a heading of its own, of which z leaves two

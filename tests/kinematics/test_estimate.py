@@ -14,7 +14,7 @@ from calib.campaign.read import read_campaign
 from calib.errors import RefusedError
 from calib.gap.plan.planned_runs import joined
 from calib.kinematics import recording_of
-from calib.kinematics.drives import NOMINAL_STD, nominal_turn
+from calib.kinematics.drives import NOMINAL_STD, nominal_motion
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.joint_fit import drive_of
 from calib.reporting.topics.geometry import geometry_sentences
@@ -345,7 +345,7 @@ def test_a_heading_lost_in_a_turn_and_found_a_turn_off_is_no_mistyped_one() -> N
     recording = recording_of(
         replace(made, logs=replace(made.logs, columns=columns | {"ref_theta_rad": heading})), "rear"
     )
-    turn = nominal_turn(drive_of(made, "rear", recording), recording.steps)
+    turn = nominal_motion(drive_of(made, "rear", recording), recording.steps)[2]
     corrected, off = recording.with_whole_turns(turn)
     assert off == []
     assert corrected.end_pose[0, 2] == pytest.approx(2.0 * np.pi, abs=0.5)

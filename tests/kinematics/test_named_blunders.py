@@ -15,7 +15,7 @@ from calib.kinematics import recording_of
 from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import rear_faults, still_counters
 from calib.kinematics.departures import find_departure
-from calib.kinematics.drives import nominal_turn
+from calib.kinematics.drives import nominal_motion
 from calib.kinematics.estimate import Using, estimate_geometry
 from calib.kinematics.joint_fit import drive_of, fit_parameters
 from calib.kinematics.model import window_segments
@@ -225,7 +225,7 @@ def test_a_counter_that_stands_still_is_named_with_its_run_and_time(stuck: bool)
     made = changed(sound, lambda log: stopped(log) if stuck and log["ref_x_m"][0] == first else log)
     recording = recording_of(made, "rear")
     drive = drive_of(made, "rear", recording)
-    texts = [fault.text for fault in still_counters(recording, nominal_turn(drive, recording.steps))]
+    texts = [fault.text for fault in still_counters(recording, nominal_motion(drive, recording.steps)[2])]
     assert len(texts) == stuck
     assert all("counts_left: it stands still from 30 to 60 s in r000" in text for text in texts)
 

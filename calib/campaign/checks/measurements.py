@@ -29,14 +29,16 @@ def missing_values(campaign: Campaign) -> Iterator[Note]:
             what = "counts in table or log" if source == "rear" else f"{name} in their log"
             runs_lacking = checks.listed(runs.run_id[lacking])
             text = f"{int(lacking.sum())} run(s) have no {what} ({runs_lacking}); they cannot be used"
-            yield checks.column_note(name, text, "missing_counts", of="runs" if source == "rear" else "logs")
+            level = "wrong" if lacking.all() else "suspicious"
+            yield checks.column_note(name, text, "missing_counts", level, of="runs" if source == "rear" else "logs")
     trajectory = np.asarray(["ref_x_m" in log for log in logged])
     unmeasured = [np.isnan(runs.number(name)) for name in ("distance_m", "ref_x_m", "ref_theta_rad", GYRO_TURN)]
     if len(lacking := runs.run_id[np.all(unmeasured, axis=0) & ~trajectory]):
         text = f"""{len(lacking)} run(s) have neither a distance nor a reference pose
             ({checks.listed(lacking)}); nothing can be learnt from them. A reference on another clock needs lag_s in the
             mapping"""
-        yield checks.column_note("distance_m", text, "missing_distance")
+        level = "wrong" if len(lacking) == len(runs) else "suspicious"
+        yield checks.column_note("distance_m", text, "missing_distance", level)
 
 
 def distance_span(campaign: Campaign) -> Iterator[Note]:
@@ -58,6 +60,7 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
     """Compare the table's distance with the last range of the log."""
     distance = campaign.runs.number("distance_m")
     allowed = max(0.02, 8 * campaign.rangefinder.sigma_m)
+    far: dict[int, float] = {}
     for run, log in campaign.logs.each(2, "range_m"):
         known = log["range_m"][np.isfinite(log["range_m"])]
         if len(outside := known[(known < -0.5) | (known > campaign.rangefinder.max_m)]):
@@ -66,6 +69,13 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
         if min(abs(distance[run] - known[-1]), abs(distance[run] - (known[-1] - known[0]))) > allowed:
             text = f"found {distance[run]:.4f} m; the log ends at {known[-1]:.4f} m; the log may be cut"
             yield checks.cell_note(campaign, run, "distance_m", text, "distance_disagrees")
+        elif abs(known[0]) > allowed and abs(distance[run] - known[-1]) <= allowed:
+            far[run] = float(known[0])
+    if far:
+        text = f"""{len(far)} log(s) begin at {min(far.values()):.4g} to {max(far.values()):.4g} m, by which their
+            distances are too long ({checks.listed(campaign.runs.run_id[[*far]])}); expected the distance from the
+            start: subtract the first reading, or give from_start = true to 'calib ingest'"""
+        yield implausible_column("range_m", text, of="logs")
 
 
 #: a measured radius, track or load is within this factor of its nominal value

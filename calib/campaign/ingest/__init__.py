@@ -34,6 +34,16 @@ _MOSTLY_NUMBERS: Final = 0.8
 _LEAST_NAMES: Final = 2
 
 
+#: what is said of run tables in several folders
+OF_FOLDERS: Final = "these runs become one campaign; of several vehicles ingest one by one, then 'calib fleet'"
+
+
+def folders_of(files: Iterable[Path]) -> str:
+    """Return the names of the folders that files lie in; empty where it is one."""
+    folders = sorted({str(file.parent) for file in files})
+    return f"{len(folders)} folders, {folders[0]} .. {folders[-1]}" if len(folders) > 1 else ""
+
+
 def listed_files(sources: Sequence[Path]) -> list[Path]:
     """Return the files of sources: files, rosbag2 folders, and other folders' files.
 
@@ -90,8 +100,6 @@ class ColumnContents:
     #: median step other than 0; of times in s
     step: float = 0.0
     even: bool = False
-    #: as the distance to a target ahead
-    falls: bool = False
 
     @property
     def span(self) -> float:
@@ -253,7 +261,6 @@ def _column_contents(name: str, raw: RawTable, shown: str, evidence: bool | None
         does="" if bits or len(known) <= _FEW_ROWS else guesses.behaviour(known, whole=whole),
         step=usual_step(known),
         even=rises_evenly(known),
-        falls=float(known[0] - known[-1]) > 0.5 * float(np.ptp(known)),
     )
 
 

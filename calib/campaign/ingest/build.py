@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign import csv_bytes, write_campaign
-from calib.campaign.ingest import listed_files
+from calib.campaign.ingest import OF_FOLDERS, folders_of, listed_files
 from calib.campaign.ingest.logs import MappedLog
 from calib.campaign.ingest.mapping import SHEET, bad_line, read_mapping
 from calib.campaign.ingest.runs import files_of_runs, files_of_sheets, mapped_runs, match_logs, names_runs, with_lookups
@@ -97,8 +97,9 @@ def _campaign(paths: Sequence[Path], work: Ingestion) -> Campaign:
         first = work.mapping.table_file
         table = _run_table(first, work)
     elif table is None and first.is_dir() and work.mapping.table.columns:
-        # the table of a folder stands beside its logs, or beside folders of them
-        beside = [path for path in files if path.parent == first and not holds_recording(path)]
+        # the table of a folder stands beside its logs, or beside folders of them, or in each of these
+        inside = [path for path in files if path.parent == first] or files[:1]
+        beside = [path for path in inside if not holds_recording(path)]
         tables = ((path, _run_table(path, work, named=True)) for path in beside)
         first, table = next(((path, found) for path, found in tables if found is not None), (first, None))
     files = [path for path in files if table is None or path.resolve() != first.resolve()]
@@ -203,6 +204,8 @@ def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: I
         if list(tables[path].columns) != list(table.columns):
             return {}
     work.hashes |= {str(path): sha256_file(path) for path in tables}
+    if apart := folders_of((first, *tables)):
+        work.border.say(apart, OF_FOLDERS, "folders", level="suspicious")
     return tables
 
 

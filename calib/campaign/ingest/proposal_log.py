@@ -228,8 +228,8 @@ def _line(target: str, column: ColumnContents, log: FileContents) -> str:
     unit = stem_and_unit(column.name)[1] or (own if own != needs else None)
     if needs and unit is None and own != needs and column.kind != "time":
         unit, remark = _time_unit(column) if target == "t_s" else (needs, unit_remark(target))
-    ahead = target == "range_m" and (log.recording or column.falls)
-    return entry(target, column, unit, {"from_start": True} if ahead else None) + remark
+    # to a target anywhere: harmless where the start is at 0
+    return entry(target, column, unit, {"from_start": True} if target == "range_m" else None) + remark
 
 
 def _time_unit(column: ColumnContents) -> tuple[str | None, str]:

@@ -169,10 +169,15 @@ def _of_wheel(column: ColumnContents, side: str | None) -> str | None:
 def has_clock(file: FileContents) -> bool:
     """Return whether a file has a column of times as a log has them."""
     return any(
-        (column.even and not (column.whole and column.step == 1.0 and guesses.guessed_log_column(column.name) != "t_s"))
+        (column.even and not (column.whole and _numbers_rows(column)))
         or (column.kind == "time" and column.step < _SHORTEST_RUN_S)
         for column in file.columns
     )
+
+
+def _numbers_rows(column: ColumnContents) -> bool:
+    numbers = column.step == 1.0 or guessed_table_column(column.name) == "run_id"
+    return numbers and guesses.guessed_log_column(column.name) != "t_s"
 
 
 def run_column(table: FileContents) -> ColumnContents | None:
@@ -226,7 +231,7 @@ def _column_line(column: ColumnContents, name: str, further: dict[str, object] |
     if name.startswith("counts_"):
         unit = guesses.count_unit(column.name)
         if unit is None and not column.whole:
-            unit, remark = "turns", "   # not whole: turns, rad, deg"
+            unit, remark = "turns", "   # not whole: turns, rad, deg; or counts with thousands points: factor = 1000"
     elif needs and unit is None:
         unit, remark = needs, unit_remark(name)
         if name.startswith("load_") and (column.high or 0.0) < _LIGHT_N:

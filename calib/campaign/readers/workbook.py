@@ -5,7 +5,7 @@ import re
 import zipfile
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -60,7 +60,19 @@ def read_sheet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) ->
         for index, name in enumerate(header)
         if name and (wanted is None or wanted(name))
     }
+    if bare := [column for column, cells in columns.items() if not filled_cells(cells.tolist())]:
+        notes += _without_results(path, shown, (name, last_row), bare)
     return finished(columns, [line for line, _ in rows], wanted, notes, shown)
+
+
+def _without_results(path: Path, shown: str, sheet: tuple[str, int], bare: Sequence[str]) -> list[Note]:
+    (name, last_row), number = sheet, 0
+    with suppress(BadFileError), _opened(path, shown, results=False) as book:
+        book[name].reset_dimensions()
+        cells = (cell for row in book[name].iter_rows(max_row=last_row or None, values_only=True) for cell in row)
+        number = sum(isinstance(cell, str) and cell.startswith("=") for cell in cells)
+    text = f"{number} formulas, and no results of them; open it in a spreadsheet program and save it again"
+    return [Note("suspicious", f"{shown}, column {', '.join(bare)}", text, "formulas")] if number else []
 
 
 def sheet_names(path: Path, shown: str) -> list[str]:
@@ -71,11 +83,11 @@ def sheet_names(path: Path, shown: str) -> list[str]:
 
 
 @contextmanager
-def _opened(path: Path, shown: str) -> Iterator[Any]:
+def _opened(path: Path, shown: str, *, results: bool = True) -> Iterator[Any]:
     import openpyxl
 
     try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        book = openpyxl.load_workbook(path, read_only=True, data_only=results)
         try:
             yield book
         finally:

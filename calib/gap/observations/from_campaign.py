@@ -11,7 +11,7 @@ from calib.campaign.checks import listed
 from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference
-from calib.campaign.wheels import SLOWEST_RADPS, odometry_source, on_one_axle, without_rear_wheels
+from calib.campaign.wheels import SLOWEST_RADPS, mecanum_model, odometry_source, on_one_axle, without_rear_wheels
 from calib.errors import BadInputError, RefusedError
 from calib.gap.observations import Observations, observation
 from calib.gap.observations.assemble import assemble, filled_loads
@@ -138,6 +138,10 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
         if odometry_source(campaign) == "front":
             # no column gives the load of a front wheel
             model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
+        elif odometry_source(campaign) == "wheels":
+            # the axle that turns as the wheels of both sides do, also where their radii differ
+            four = mecanum_model(campaign, model)
+            model = replace(model, track_m=2.0 * four.arm_m, mecanum=four)
         campaign = on_one_axle(campaign, model)
     logs = campaign.logs
     for name, load in zip(WHEEL_LOADS, filled_loads(campaign)[:2], strict=True):
