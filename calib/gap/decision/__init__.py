@@ -23,11 +23,11 @@ MOST_HELD_OUT: Final = 0.6
 SAME_VALUE: Final = 0.1
 
 
-def reach_of_noise(dof: float, n_readings: int) -> float:
+def reach_of_noise(dof: float | FloatArray, n_readings: int) -> FloatArray:
     """Return how many noise levels the furthest of so many readings is off by, at `FALSE_ALARM`."""
     from scipy.special import stdtrit
 
-    return float(stdtrit(max(dof, 1.0), 1.0 - 0.5 * FALSE_ALARM / max(n_readings, 1)))
+    return np.asarray(stdtrit(np.maximum(dof, 1.0), 1.0 - 0.5 * FALSE_ALARM / max(n_readings, 1)))
 
 
 def most_square(n_readings: int, dof: float = 0.0) -> float:

@@ -219,20 +219,21 @@ def stands_off(evidence: Evidence) -> bool:
     if noise.dof <= 0.0 and evidence.fitted.chi_square > most_square(int(usable.sum())):
         return True
     scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
-    reach = reach_of_noise(noise.dof, int(usable.sum()))
-    if evidence.observations.windowed and ((scaled**2).sum(axis=0) > reach**2 * usable.sum(axis=0)).any():
+    known = noise.dof if noise.levels_dof is None else noise.levels_dof
+    reach = reach_of_noise(known, int(usable.sum()))
+    if evidence.observations.windowed and ((scaled**2).sum(axis=0) > (reach**2 * usable).sum(axis=0)).any():
         return True
     _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
-    agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled.T), *(-reach > scaled.T)]]
+    agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled).T, *(-reach > scaled).T]]
     # windows of a recording share what its radii are off by
     recordings, _ = np.unique(np.stack([condition, evidence.observations.run]), axis=1)
     if (np.array(agree) & (np.bincount(recordings) > 1)).any():
         return True
     for route in () if evidence.observations.windowed else np.unique(evidence.observations.kind):
         mine = evidence.observations.kind == route
-        second = reach_of_noise(noise.dof, int(usable[mine].sum()))
+        second = np.broadcast_to(reach_of_noise(known, int(usable[mine].sum())), usable.shape)[mine]
         for side in (scaled[mine], -scaled[mine]):
-            if ((side > reach).any(axis=0) & ((side > second).sum(axis=0) > 1)).any():
+            if ((side > np.broadcast_to(reach, usable.shape)[mine]).any(axis=0) & ((side > second).sum(axis=0) > 1)).any():
                 return True
     return False
 

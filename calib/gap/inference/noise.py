@@ -5,7 +5,7 @@ each group. That of windows is checked by its growth with length.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
@@ -104,6 +104,8 @@ class Noise:
     weight: FloatArray  #: shape (n_units,): 1, less far from the repeats
     supported: bool = True  #: whether the runs support a noise level
     support: str = ""  #: by what, in words; else why not
+    #: shape (n_units, 6): degrees of freedom of each level by itself, where replicates measure it
+    levels_dof: FloatArray | None = None
     #: shape (6,): median noise level over that of stated sigmas and typical walks; NaN without the channel
     excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
 
@@ -153,6 +155,7 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
         weight = np.ones(len(gap))
         weight[whole.grouped.units] = whole.weights(log_scale)
         noise = _noise(path, shapes, log_scale, weight, basis, whole.dof)
+        noise = replace(noise, levels_dof=shapes.dof(log_scale, part.uncertainty(log_scale)))
         if noise.supported and not (basis is Basis.ROUTE and _contradicts_repeats(path, gap, shapes, log_scale)):
             return noise
         # differences that may be a gap: the next support

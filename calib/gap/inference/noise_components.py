@@ -161,6 +161,18 @@ class NoiseComponents:
         whole = np.tensordot(variance, self.kernels, axes=1) + self.fixed
         return masked(whole / weight[:, None, None], self.usable)
 
+    def dof(self, log_scale: FloatArray, uncertainty: FloatArray) -> FloatArray:
+        """Return the degrees of freedom of each unit's level in each channel, shape (n_units, 6).
+
+        `uncertainty`: covariance of the logs of the scales; of a level's square by that of its logarithm, 2 over them
+        (Satterthwaite, Biometrics Bulletin 2 (1946) 110).
+        """
+        variance, diagonal = np.exp(2 * log_scale) * self.active, np.diagonal(self.kernels, axis1=2, axis2=3)
+        level = np.tensordot(variance, diagonal, axes=1) + np.diagonal(self.fixed, axis1=1, axis2=2)
+        share = variance[:, None, None] * diagonal / np.where(self.usable, level, np.inf)
+        spread = np.einsum("inc,ij,jnc->nc", share, uncertainty, share)
+        return np.asarray(0.5 / np.maximum(spread, 1e-9))
+
     def select(self, units: IntArray) -> "NoiseComponents":
         """Return the shapes of some units."""
         kernels = np.ascontiguousarray(self.kernels[:, units])

@@ -180,6 +180,16 @@ class ScaleLikelihood:
         weight: FloatArray = reach / np.maximum(square, reach)
         return weight
 
+    def uncertainty(self, log_scale: FloatArray) -> FloatArray:
+        """Return the covariance of the logs of the scales, (n_components, n_components): expected information, prior."""
+        variance = np.exp(2 * log_scale) * self.active
+        factor = whitener_of(self.shapes.covariance(log_scale, np.ones(len(self.usable))))
+        kept = self.solved(factor)[1]
+        parts = variance[:, None, None, None] * (factor @ self.shapes.kernels @ factor.transpose(0, 2, 1))
+        shape = len(parts), -1
+        information = 2 * (kept @ parts @ kept).reshape(shape) @ parts.reshape(shape).T
+        return np.asarray(np.linalg.inv(information + np.diag(PRIOR_SPREADS**-2)))
+
     @cached_property
     def weighted_share(self) -> FloatArray:
         """Share of variance that normal noise keeps under the weights, (n,)."""
