@@ -27,8 +27,7 @@ from calib.gap.effects.reference import ReferenceLeverArm, ReferenceYaw
 from calib.gap.effects.simulator import IntegrationScheme
 from calib.gap.inference import EVEN_PROBABILITY
 from calib.gap.inference.fit import Fitted, recalibrate
-from calib.gap.inference.least_squares import HeldOutFit
-from calib.gap.inference.linear_model import WhitenedSystem
+from calib.gap.inference.least_squares import HeldOutFit, WhitenedSystem
 from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.marginal_likelihood import FLOOR_DOF
 from calib.gap.inference.model_search import search

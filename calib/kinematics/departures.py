@@ -145,11 +145,10 @@ def _departures(model: Model, *, timed: bool, misfit: bool) -> Iterator[Departur
     whole = model.segments.are_runs_of(model.recording)
     share = EXPLAINED if whole else 0.0
     if model.recording.steps.steer_rad is None:
-        share_of_slip = max(share, LEAD)
         for rate, (code, text) in enumerate(SLIPS):
-            change, named = partial(_without_slip, drive=model.drive, rate=rate), partial(_slip, code=code, text=text)
+            without, named = partial(_without_slip, drive=model.drive, rate=rate), partial(_slip, code=code, text=text)
             if rate != ASIDE or isinstance(model.drive, drives.Mecanum):
-                yield Departure(change, SLIP, named, share_of_slip, CLEAR_SLIP)
+                yield Departure(without, SLIP, named, max(share, LEAD), CLEAR_SLIP)
     else:
         yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
         yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)

@@ -111,8 +111,8 @@ def describe(sources: Sequence[Path]) -> Description:
         whole = replace(whole, others={**whole.others, **{Path(file.name).stem: file.columns for file in beside}})
     apart = [] if alike else [file for file in logs if file not in beside]
     lines = _mapping_lines(whole, apart or (_sheets_of_runs(table) if table is not None else []))
-    if alike and (apart := ingest.folders_of(paths)):
-        lines = wrapped(f"{apart}: {ingest.OF_FOLDERS}", "# ") + lines
+    if alike and (folders := ingest.folders_of(paths)):
+        lines = wrapped(f"{folders}: {ingest.OF_FOLDERS}", "# ") + lines
     # the table has to be named first, also one found in a folder
     given = [str(source) for source in sources]
     ordered = given if table is None else [table.name, *(source for source in given if source != table.name)]

@@ -82,15 +82,13 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
         columns += own
     log = FileContents(", ".join(parts), True, 0, tuple(columns), (), tuple(streams))
     lines, found = _column_lines(log, columns)
-    own_times = {
-        tag: _line("t_s", time, log).partition("   #")[0].removeprefix("t_s = ") for tag, time in times.items()
-    }
+    own_times = {tag: _line("t_s", time).partition("   #")[0].removeprefix("t_s = ") for tag, time in times.items()}
     if times:
         found["t_s"] = next(iter(times.values()))
         one_clock = len({*own_times.values()}) == 1
         each = ", ".join(f"{tag} = {line}" for tag, line in own_times.items())
         several = f"clocks = {{{each}}}   # the times of each file" + "; state ? Hz" * ("?" in each)
-        lines.insert(0, _line("t_s", found["t_s"], log) if one_clock else several)
+        lines.insert(0, _line("t_s", found["t_s"]) if one_clock else several)
     return [*lines, *_missing(lines, found, logs)]
 
 
@@ -133,7 +131,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
             compass = _COMPASS if eastward and target == "ref_theta_rad" else ""
-            lines.append(_line(target, column, log) + (compass or (_BESIDE if column is bearing else "")))
+            lines.append(_line(target, column) + (compass or (_BESIDE if column is bearing else "")))
         if target == "ref_theta_rad" and (_OF_QUATERNION.search(column.name) or _w(column) in others - {column.name}):
             lines[-1] = _quaternion_line(column, columns)
     lines += _wheel_lines(found, columns, streams)
@@ -223,7 +221,7 @@ def _may_be(
     return target != "t_s" or stream.start_ns is None
 
 
-def _line(target: str, column: ColumnContents, log: FileContents) -> str:
+def _line(target: str, column: ColumnContents) -> str:
     needs, own, remark = split_suffix(target)[1], unit_named(column.unit), ""
     unit = stem_and_unit(column.name)[1] or (own if own != needs else None)
     if needs and unit is None and own != needs and column.kind != "time":

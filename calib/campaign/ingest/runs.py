@@ -129,11 +129,11 @@ def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, bor
 
 
 def names_runs(raw: RawTable, mapping: LabMapping) -> bool:
-    """Return whether a table names runs, by the mapping or by calib's name, or has all columns that the mapping names."""
+    """Return whether a table names runs, by the mapping or calib's name, or has all columns that the mapping names."""
     lines = mapping.table.columns
     line, sources = lines.get("run_id"), {source for each in lines.values() for source in each.sources}
     own = any(recognise(name, TABLE_COLUMNS).name == "run_id" for name in raw.columns)
-    return own or (line is not None and line.column in raw.columns) or bool(sources) and sources <= {*raw.columns}
+    return own or (line is not None and line.column in raw.columns) or (bool(sources) and sources <= {*raw.columns})
 
 
 def mapped_runs(raw: RawTable, mapping: LabMapping, settings: Campaign, shown: str, border: Border) -> RunTable:

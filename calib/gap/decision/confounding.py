@@ -13,8 +13,7 @@ from calib.gap.effects.radii import DIRECTIONS, NAMES, RadiusScale, SpeedRadius,
 from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference import CONFIDENCE, LOG_EVIDENCE_WINDOW
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, calibration_pushes, hypothesis_path
-from calib.gap.inference.least_squares import Weighting, prior_precision
-from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.least_squares import LinearSystem, Weighting, prior_precision
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import MIN_EFFECT_SD, PRIOR_SHIFT_ODDS, SUBSETS

@@ -187,7 +187,7 @@ def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
 
 def _single_runs(evidence: Evidence) -> tuple[str, ...]:
     seen, noise = evidence.observations, evidence.noise
-    reach = reach_of_noise(noise.dof, int(seen.usable.sum()))
+    reach = float(reach_of_noise(noise.dof, int(seen.usable.sum())))
     # their small weights do not make it usual
     runs = by_run(seen, noise.floor * np.sqrt(noise.weight)[:, None], evidence.held_out.before)
     far = enumerate(pairwise(abs(run.z) for run in runs), 1)

@@ -19,8 +19,7 @@ from calib.gap.effects.radii import AnySpeed
 from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference import EVEN_PROBABILITY
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
-from calib.gap.inference.least_squares import HeldOutFit
-from calib.gap.inference.linear_model import WhitenedSystem
+from calib.gap.inference.least_squares import HeldOutFit, WhitenedSystem
 from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import Recalibration

@@ -219,7 +219,7 @@ def stands_off(evidence: Evidence) -> bool:
     if noise.dof <= 0.0 and evidence.fitted.chi_square > most_square(int(usable.sum())):
         return True
     scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
-    known = noise.dof if noise.levels_dof is None else noise.levels_dof
+    known = np.broadcast_to(noise.dof if noise.levels_dof is None else noise.levels_dof, usable.shape)
     reach = reach_of_noise(known, int(usable.sum()))
     if evidence.observations.windowed and ((scaled**2).sum(axis=0) > (reach**2 * usable).sum(axis=0)).any():
         return True
@@ -231,9 +231,9 @@ def stands_off(evidence: Evidence) -> bool:
         return True
     for route in () if evidence.observations.windowed else np.unique(evidence.observations.kind):
         mine = evidence.observations.kind == route
-        second = np.broadcast_to(reach_of_noise(known, int(usable[mine].sum())), usable.shape)[mine]
+        second = reach_of_noise(known[mine], int(usable[mine].sum()))
         for side in (scaled[mine], -scaled[mine]):
-            if ((side > np.broadcast_to(reach, usable.shape)[mine]).any(axis=0) & ((side > second).sum(axis=0) > 1)).any():
+            if ((side > reach[mine]).any(axis=0) & ((side > second).sum(axis=0) > 1)).any():
                 return True
     return False
 

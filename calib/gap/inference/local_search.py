@@ -12,8 +12,7 @@ import numpy as np
 from calib.gap.effects import Form
 from calib.gap.effects.library import effect_class
 from calib.gap.inference.fit import Fitted, by_form
-from calib.gap.inference.least_squares import Weighting, controlled_step
-from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.least_squares import LinearSystem, Weighting, controlled_step
 from calib.gap.inference.marginal_likelihood import log_weights, model_sizes
 from calib.gap.inference.scalar_products import FormPriors, Sums
 from calib.types import BoolArray, FloatArray

@@ -11,8 +11,7 @@ import numpy as np
 from calib.gap.effects import Effect, Form
 from calib.gap.inference import REPORTED_GAP_PROBABILITY
 from calib.gap.inference.fit import Fitted, fit, linear_rest
-from calib.gap.inference.least_squares import prior_precision
-from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.least_squares import LinearSystem, prior_precision
 from calib.gap.inference.local_search import MOST_EFFECTS, LocalSearch, Model, SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets

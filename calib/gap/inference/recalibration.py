@@ -11,8 +11,7 @@ from calib.gap.effects import Form
 from calib.gap.effects.radii import DIRECTIONS, NAMES, OF_WHEELS, TYPICAL
 from calib.gap.inference import EVEN_PROBABILITY
 from calib.gap.inference.fit import CALIBRATION_SD, by_form
-from calib.gap.inference.least_squares import Weighting, prior_precision
-from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.least_squares import LinearSystem, Weighting, prior_precision
 from calib.gap.inference.local_search import TOLERANCE, SearchResult
 from calib.gap.inference.marginal_likelihood import effect_scale, log_evidence_parts, log_marginal
 from calib.gap.inference.scalar_products import FURTHER, SCALE_CHOICE_COST

@@ -9,8 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap.inference.least_squares import Weighting
-from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.least_squares import LinearSystem, Weighting
 from calib.gap.inference.local_search import LocalSearch, Model
 from calib.gap.inference.marginal_likelihood import log_marginal, prior_scale, ridge_solve
 from calib.gap.inference.noise_components import COMPONENTS, N_CHANNELS, PRIOR_MEDIANS, NoiseComponents, whitener_of

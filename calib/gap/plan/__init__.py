@@ -11,7 +11,7 @@ from calib.documents import plain_fields
 from calib.gap.effects import Effect, Form, matching_form
 from calib.gap.effects.library import library
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, signature_columns, whitened_rows
-from calib.gap.inference.linear_model import WhitenedSystem
+from calib.gap.inference.least_squares import WhitenedSystem
 from calib.gap.inference.marginal_likelihood import Nuisance, project
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.noise_components import COMPONENTS, kernels, masked, quantisation

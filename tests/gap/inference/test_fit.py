@@ -19,7 +19,7 @@ from calib.gap.inference.fit import (
     identifiability_message,
     undetermined,
 )
-from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.least_squares import LinearSystem
 from calib.gap.inference.local_search import LocalSearch
 from calib.gap.inference.model_search import continuation_start, is_far
 from calib.gap.inference.noise import Noise, estimate_noise

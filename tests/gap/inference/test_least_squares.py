@@ -9,8 +9,7 @@ import pytest
 
 from calib.gap.effects.radii import TemperatureRadius
 from calib.gap.inference.fit import fit
-from calib.gap.inference.least_squares import Weighting
-from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.least_squares import LinearSystem, Weighting
 from calib.gap.plan import noise_at
 from calib.gap.predict import predict
 from tests.gap.effects.making import Motion, Run, rich_runs, situation

@@ -14,7 +14,7 @@ from calib.gap.effects.radii import DIRECTIONS, TYPICAL, TemperatureRadius
 from calib.gap.effects.turning import LoadDependentTrack
 from calib.gap.inference import recalibration, scalar_products
 from calib.gap.inference.fit import CALIBRATION_SD, fit
-from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.least_squares import LinearSystem
 from calib.gap.inference.marginal_likelihood import FLOOR_DOF
 from calib.gap.inference.recalibration import (
     ATTRIBUTED_SHIFT_SHARE,

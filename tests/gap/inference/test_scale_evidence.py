@@ -11,7 +11,7 @@ from scipy.special import logsumexp
 
 from calib.gap.effects.load import LoadRadius
 from calib.gap.inference.fit import fit
-from calib.gap.inference.linear_model import LinearSystem
+from calib.gap.inference.least_squares import LinearSystem
 from calib.gap.inference.local_search import LocalSearch
 from calib.gap.inference.marginal_likelihood import log_marginal
 from calib.gap.inference.model_search import _weighed

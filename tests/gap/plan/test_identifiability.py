@@ -8,7 +8,7 @@ import pytest
 from calib.gap.effects import Form
 from calib.gap.effects.library import library
 from calib.gap.inference.fit import CALIBRATION_SD, fit
-from calib.gap.inference.linear_model import WhitenedSystem
+from calib.gap.inference.least_squares import WhitenedSystem
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.plan import SEPARATION_SD, aliases_of, distance, noise_at, undetectable
 from calib.gap.predict import predict

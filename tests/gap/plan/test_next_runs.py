@@ -21,7 +21,7 @@ from calib.gap.decision.diagnosis import Evidence
 from calib.gap.effects.library import library
 from calib.gap.effects.radii import NAMES
 from calib.gap.inference.fit import fit
-from calib.gap.inference.linear_model import WhitenedSystem
+from calib.gap.inference.least_squares import WhitenedSystem
 from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise
 from calib.gap.observations import Observations
