@@ -9,10 +9,8 @@ From Python:
 >>> print(diagnosis.summary())
 >>> diagnosis.plot()
 
-Nothing heavy is imported until one of these functions is called. The folders show the data's way: ``campaign`` (what
-was driven and measured) -> ``radius`` (effective radius and load law) -> ``kinematics`` (radii, track and
-sensor together) -> ``coefficients`` (the law as the vehicle gets it) -> ``odometry`` (from counts to poses, simulation)
--> ``gap`` (simulated against real) -> ``reporting``. A folder imports only folders before it.
+Nothing heavy is imported until one of these functions is called. The folders show the data's way: ``campaign`` ->
+``radius`` -> ``kinematics`` -> ``coefficients`` -> ``odometry`` -> ``gap`` -> ``reporting``; each imports those before.
 """
 
 from typing import TYPE_CHECKING, Any

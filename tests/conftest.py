@@ -62,7 +62,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> WorkSteal
 def packages_looked_up_once() -> Iterator[None]:
     """Look up the effects that installed packages offer once: none is installed while the suite runs."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("calib.gap.effects.columns.entry_points", cache(entry_points))
+        patch.setattr("calib.gap.effects.quantities.entry_points", cache(entry_points))
         yield
 
 

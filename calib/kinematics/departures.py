@@ -44,7 +44,7 @@ CLOCK_RATE: Final = 5e-4
 #: recordings, and part of the longest that they differ by, from which their delays tell of a clock
 FEWEST_OF_A_CLOCK: Final = 4
 OF_TWO_LENGTHS: Final = 0.2
-#: of the wheels' way, at 1 m/s, to the side, at 1 rad/s
+#: of the wheels' way
 SLIP: Final = 0.01
 #: by way ahead, to the side and turn: code of the slip, what it grows with and what helps
 SLIPS: Final = (

@@ -1,8 +1,5 @@
 """Joint estimation of all parameters; those that the data leave open stay about nominal and are named.
 
-Where data leave something open, nominal values take part as measurements, each with what it may be off by: all
-intervals are of the joint result.
-
 Delay and steering zero differ between recordings, as random effects; see `docs/geometry.md`.
 """
 

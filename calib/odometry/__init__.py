@@ -1,8 +1,7 @@
 """From counts and radii to poses: odometry, routes, closed-loop simulation.
 
-Here odometry over arrays of runs: from wheel travel to poses, by array operations or in machine code. By arrays, sums
-are carried from block to block, which keeps their rounding below that of a plain loop. In machine code (numba, extra
-`fast`) headings count from the first of a few steps, so that a short series gives sine and cosine.
+Here odometry over arrays of runs, by array operations or in machine code (numba, extra `fast`), where headings count
+from the first of a few steps, so that a short series gives sine and cosine.
 """
 
 import math

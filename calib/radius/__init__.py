@@ -1,7 +1,5 @@
 """From runs to a law: effective radii, path deviation, regression on load.
 
-Here regression of runs that come in sessions: what is known within sessions, and what only between them.
-
 A radius is ``a + b x + session + run``, each scatter estimated from its own stratum; see `calib.radius.law`.
 
 The residuals of a session are a first-order autoregression; see `docs/report.md`.

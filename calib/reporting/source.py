@@ -168,7 +168,7 @@ def stated_of(campaign: Campaign) -> dict[str, str]:
 
 def refused_settings(campaign: Campaign) -> list[Note]:
     """Return what fit, diagnosis or report refuse of the settings, as faults of the campaign."""
-    from calib.gap.effects.columns import declared_effects
+    from calib.gap.effects.quantities import declared_effects
     from calib.radius.effective import declared_sources
 
     faults = []

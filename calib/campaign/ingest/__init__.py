@@ -35,7 +35,7 @@ _LEAST_NAMES: Final = 2
 
 
 #: what is said of run tables in several folders
-OF_FOLDERS: Final = "these runs become one campaign; of several vehicles ingest one by one, then 'calib fleet'"
+OF_FOLDERS: Final = "their runs become one campaign; several vehicles: ingest one by one, then 'calib fleet'"
 
 
 def folders_of(files: Iterable[Path]) -> str:

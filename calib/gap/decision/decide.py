@@ -165,6 +165,8 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
             first = (*first, f"{names} alone: look at reference, start, counts and steering, or exclude.")
     else:
         first = tuple(note.sentence for note in _wrong_data(evidence.situation, diagnosis.causes))
+        blunders = (cause for cause in diagnosis.causes if cause.signal == float("inf"))
+        first += tuple(f"{cause.form}: {cause.remark}." for cause in blunders)
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
     text = lead + said + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
     for note in columns_as_one(evidence.situation.campaign.included()):

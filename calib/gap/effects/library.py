@@ -28,15 +28,15 @@ from calib.gap.effects import (
     steering,
     turning,
 )
-from calib.gap.effects.columns import (
+from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected
+from calib.gap.effects.mounting import RESTATED
+from calib.gap.effects.quantities import (
     COVARIATE_PREFIX,
     Covariate,
     covariate_columns,
     declared_effects,
     entry_point_effects,
 )
-from calib.gap.effects.encoder import Blunder, EncoderBlunder, corrected
-from calib.gap.effects.mounting import RESTATED
 from calib.gap.effects.radii import Wear
 from calib.gap.effects.reference import ReferenceLatency, ReferenceLeverArm
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, simulator_title
@@ -324,7 +324,7 @@ def with_effects(
 ) -> tuple[Observations, tuple[str, ...]]:
     """Return the campaign as a simulator with the effects would predict it, and notes on what could not be applied.
 
-    The prediction stands where an outside simulator's would; units that one predicted stay as they are. The
+    The prediction stands where an outside simulator's would. The
     observations have the file's model already; `declared`: the campaign's ``[[effects]]`` tables.
     """
     notes: list[str] = []

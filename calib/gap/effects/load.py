@@ -213,11 +213,7 @@ class _OfPayload(Effect):
 
 
 class PayloadMass(_OfPayload):
-    """The payload of one label, or of all, is wrong by a share, and with it the loads: dr_i = c_i share dF_i.
-
-    The slopes c_i are the model's, else those of the hypothesis' load law as the other payloads show them. All labels
-    at once (a scale that reads too low) are asked of only where the model has slopes: slopes that are off look alike.
-    """
+    """The payload of one label, or of all, is wrong by a share, and with it the loads: dr_i = c_i share dF_i."""
 
     id = "payload_mass"
     title = "a misreported payload mass"

@@ -10,8 +10,7 @@ import numpy as np
 
 from calib.campaign.model import Campaign
 from calib.documents import plain_fields
-from calib.gap.effects.columns import covariate_columns
-from calib.gap.effects.quantities import driven_speed_mps
+from calib.gap.effects.quantities import covariate_columns, driven_speed_mps
 from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
 from calib.gap.inference.noise import Noise
 from calib.gap.localise import BOOTSTRAP_DRAWS, FALSE_FINDING_PROBABILITY, PlaceResult, find_places

@@ -88,9 +88,8 @@ def next_runs(
 ) -> list[PlannedRun]:
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
-    They are driven in one session, those at another temperature in one of their own, and `REPEATS` times on a route
-    not repeated so far. Each step takes the run after which the two nearest confounded effects are furthest apart,
-    else most effects of the library. What the law of the load lacks is added.
+    Driven in one session, those at another temperature in one of their own, `REPEATS` times on a route not repeated so
+    far. Each step takes the run that parts the two nearest confounded effects most, else most effects of the library.
 
     `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
     effects; `apart_on`: how far those are on other runs; `candidates`: see `default_candidates`; `most`: runs to name.
@@ -301,17 +300,9 @@ class _RunEntry(_Strict):
 
 
 def read_plan(path: FilePath) -> Campaign:
-    """Return the campaign that a plan would give if the vehicle were exactly as its model.
+    """Return the campaign that a plan (`path`, see ``calib plan --help``) would give of a vehicle as modelled.
 
-    `path`: the plan: ``format = "calib-plan/1"``, the sections of ``campaign.toml``, ``[measured]`` with ``distance``,
-    ``poses`` (or ``position``, ``heading`` alone), ``front``, ``log``, ``gyro`` (true or false) and ``corridor_m``, and
-    ``[[runs]]``, each with ``kind``, where wanted ``count`` and the columns of the run table, ``stops``,
-    ``read_rolling``, ``tape``.
-
-    Raises
-    ------
-    BadFileError
-        Where the file cannot be used.
+    Raises BadFileError where the file cannot be used.
     """
     document = _load(path)
     runs = _runs(document.pop("runs", None), path)

@@ -327,8 +327,7 @@ def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:
     if simulator and diagnosis.recommended:
         tied = any(name.startswith("simulator:") for group in diagnosis.groups for name in group)
         kind = "simulator" if diagnosis.fix.parameters else "simulator group" if tied else "simulator lacks"
-    wrong = diagnosis.correct_first or any(cause.signal == float("inf") for cause in diagnosis.causes)
-    step = f"diagnose {'wrong' if wrong else kind}"
+    step = f"diagnose {'wrong' if diagnosis.correct_first else kind}"
     if step in reporting.catalogue()["next"]:
         return step
     return without_runs(diagnosis) if diagnosis.groups and not (diagnosis.next_runs or simulator) else "diagnose"

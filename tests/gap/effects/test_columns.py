@@ -12,8 +12,8 @@ import pytest
 from calib.errors import BadFileError, BadInputError, CalibError
 from calib.gap import Perturbation
 from calib.gap.effects import Centre, Effect, Form, Parameter
-from calib.gap.effects.columns import ACTS_ON, covariate_columns, entry_point_effects
 from calib.gap.effects.library import check_excluded, library
+from calib.gap.effects.quantities import ACTS_ON, covariate_columns, entry_point_effects
 from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, signature
@@ -141,7 +141,7 @@ def test_an_entry_point_adds_its_class() -> None:
 
 def test_an_installed_package_is_found_by_the_library(s: Observations, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "calib.gap.effects.columns.entry_points", lambda group: [point("Foreign")] * (group == "calib.effects")
+        "calib.gap.effects.quantities.entry_points", lambda group: [point("Foreign")] * (group == "calib.effects")
     )
     assert [e.id for e in library(s)][-1] == "foreign"
 
@@ -208,7 +208,7 @@ def test_a_declared_column_is_no_candidate_of_its_own_beside_the_declaration(s: 
 @pytest.mark.parametrize("excluded", ["tyre", "foreign", "covariate:tyre_bar", "wear", "encoder_gross"])
 def test_whatever_may_be_named_may_be_excluded(s: Observations, monkeypatch: pytest.MonkeyPatch, excluded: str) -> None:
     monkeypatch.setattr(
-        "calib.gap.effects.columns.entry_points", lambda group: [point("Foreign")] * (group == "calib.effects")
+        "calib.gap.effects.quantities.entry_points", lambda group: [point("Foreign")] * (group == "calib.effects")
     )
     check_excluded([excluded], s, [SOUND])
     assert excluded not in {effect.id for effect in library(s, declared=[SOUND], exclude=(excluded,))}
