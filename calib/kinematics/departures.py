@@ -49,7 +49,7 @@ SLIP: Final = 0.01
 #: by way ahead, to the side and turn: code of the slip, what it grows with and what helps
 SLIPS: Final = (
     ("speed_slip", "% per m/s of speed: the radii hold for these speeds alone; drive as in use"),
-    ("strafe_slip", "% on the way to the side, which the rollers do not carry; correct that way in the vehicle"),
+    ("strafe_slip", "% on the way to the side, as rollers do; correct that way in the vehicle"),
     ("turn_slip", "% per rad/s of yaw rate: radii and track hold for these turns alone; turn slower"),
 )
 ASIDE: Final = 1
@@ -148,7 +148,7 @@ def _departures(model: Model, *, timed: bool, misfit: bool) -> Iterator[Departur
         for rate, (code, text) in enumerate(SLIPS):
             without, named = partial(_without_slip, drive=model.drive, rate=rate), partial(_slip, code=code, text=text)
             if rate != ASIDE or isinstance(model.drive, drives.Mecanum):
-                yield Departure(without, SLIP, named, max(share, LEAD), CLEAR_SLIP)
+                yield Departure(without, SLIP, named, share if code == "turn_slip" else max(share, LEAD), CLEAR_SLIP)
     else:
         yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
         yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)

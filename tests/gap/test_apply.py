@@ -12,7 +12,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.coefficients.file import load_coefficients
+from calib.coefficients.file import believed_model, load_coefficients
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
 from calib.gap.apply import applied_model, on_vehicle
@@ -31,6 +31,7 @@ from calib.runtime import Coefficients
 from tests.gap import free_drives
 from tests.gap.effects.making import Motion, Run, rich_runs
 from tests.gap.effects.making import campaign as campaign_of
+from tests.kinematics.campaigns import mecanum
 
 
 def campaign_with(effect: str, times: float = 3.0, seed: int = 3, n_runs: int = 40) -> Campaign:
@@ -333,3 +334,14 @@ def sound_recordings(folder: Path, lever: float = 0.0) -> Campaign:
     """Return sound recordings of free drives, the sensor so far ahead of the axle and a third as far to the left."""
     sizes, rng = {"reference_lever_arm": lever}, np.random.default_rng(11)
     return read_campaign(free_drives.write(folder / "free", "differential", sizes, 1e-4, rng))
+
+
+def test_sides_of_a_mecanum_drive_that_differ_are_corrected_in_full() -> None:
+    """Left wheels half a percent larger: four wheels turn about l + w, not about the track between them."""
+    made = mecanum(np.random.default_rng(4), left=0.005, nominal=(0.068, 0.36))
+    diagnosis = diagnose_in_full(made, plan=False)
+    sizes = {cause.effect: cause.parameters for cause in diagnosis.causes}
+    low, high = sizes["unequal_radii"]["relative"].ci95
+    assert low < -0.005 < high and high - low < 0.001
+    model = believed_model(applied_model(diagnosis, made), made.model.reference_load_N)
+    assert diagnose_in_full(made, model=model, plan=False).kind is VerdictKind.NO_GAP

@@ -35,9 +35,10 @@ class Truth:
     slope_right: float = 0.0
     sensor: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay_s: float = 0.0
-    #: how much faster the reference's clock runs, and what the wheels slip per rad/s
+    #: how much faster the reference's clock runs, and what the wheels slip per rad/s and per m/s
     clock_rate: float = 0.0
     slip_s_per_rad: float = 0.0
+    slip_s_per_m: float = 0.0
 
 
 def driven(legs: Sequence[Leg]) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +93,8 @@ def campaign(
         left = truth.radius_left_m + truth.slope_left * load[0]
         right = truth.radius_right_m + truth.slope_right * load[1]
         phi = np.stack([(way - 0.5 * truth.track_m * turn) / left, (way + 0.5 * truth.track_m * turn) / right])
-        phi *= 1.0 + truth.slip_s_per_rad * np.abs(turn) * len(turn) / duration_s
+        per_s = len(turn) / duration_s
+        phi *= 1.0 + (truth.slip_s_per_rad * np.abs(turn) + truth.slip_s_per_m * np.abs(way)) * per_s
         noisy = turn + rng.normal(size=len(turn)) * walk * np.sqrt(np.abs(way) + 0.1 * np.abs(turn))
         pose = seen_from(path(way, noisy), truth.sensor)
         t = np.linspace(0.0, duration_s, len(way) + 1)
@@ -199,8 +201,14 @@ def tricycle(
     return _posed("tricycle", vehicle, "front", per_rev, [kind for kind, _ in kinds], logs, np.array(ends))
 
 
-def mecanum(rng: np.random.Generator) -> Campaign:
-    """Four mecanum wheels of radius 0.068 m with l + w = 0.36 m: lines, strafes, diagonals, spins, arcs."""
+def mecanum(
+    rng: np.random.Generator, *, left: float = 0.0, strafe: float = 0.0, nominal: tuple[float, float] = (0.07, 0.369)
+) -> Campaign:
+    """Four mecanum wheels of radius 0.068 m with l + w = 0.36 m: lines, strafes, diagonals, spins, arcs.
+
+    `left`: by how much the radii of the left wheels are larger; `strafe`: share that slips to the side; `nominal`:
+    radius and l + w of the settings, whose track is that of the wheels, half the sum of both.
+    """
     radius, arm, per_rev = 0.068, 0.36, 20000.0
     motions = {
         "line": (3.0, 0.0, 0.0),
@@ -219,20 +227,25 @@ def mecanum(rng: np.random.Generator) -> Campaign:
         middle = 0.5 * (heading[1:] + heading[:-1])
         end = np.array(
             [
-                np.sum(ahead * np.cos(middle) - aside * np.sin(middle)),
-                np.sum(ahead * np.sin(middle) + aside * np.cos(middle)),
+                np.sum(ahead * np.cos(middle) - (1.0 - strafe) * aside * np.sin(middle)),
+                np.sum(ahead * np.sin(middle) + (1.0 - strafe) * aside * np.cos(middle)),
                 heading[-1],
             ]
         )
         # front left, front right, rear left, rear right
         rolled = [ahead - aside - arm * turn, ahead + aside + arm * turn, ahead + aside - arm * turn]
         rolled.append(ahead - aside + arm * turn)
+        rolled = [way / (1.0 + left * (at % 2 == 0)) for at, way in enumerate(rolled)]
         at = np.linspace(0, FINE, SAMPLES + 1).round().astype(int)
         counts = [np.rint(np.concatenate(([0.0], np.cumsum(w))) / radius / (2 * np.pi) * per_rev)[at] for w in rolled]
         logs.append({"t_s": at * 0.005, **dict(zip(WHEEL_COLUMNS["wheels"], counts, strict=True))})
         ends.append(end + np.array([0.002, 0.002, 0.001]) * rng.normal(size=3))
     vehicle = Vehicle(
-        wheel_radius_m=0.07, half_length_plus_half_width_m=0.369, track_m=0.738, cog_x_m=0.2, drive="mecanum"
+        wheel_radius_m=nominal[0],
+        half_length_plus_half_width_m=nominal[1],
+        track_m=nominal[1],
+        cog_x_m=0.2,
+        drive="mecanum",
     )
     return _posed("mecanum", vehicle, "wheels", per_rev, kinds, logs, np.array(ends))
 
