@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from calib.cli.main import run
-from calib.gap.effects import columns
+from calib.gap.effects import quantities
 from calib.gap.effects.library import REGISTRY
 from calib.reporting.topics.diagnosis import size_text
 
@@ -66,8 +66,8 @@ def test_what_a_campaign_declares_is_listed_with_its_origin(campaign: Path, caps
 def test_an_effect_of_a_package_is_listed_with_the_package(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    point = EntryPoint("ours", "tests.gap.effects.test_columns:Foreign", columns.ENTRY_POINT_GROUP)
-    monkeypatch.setattr(columns, "entry_points", lambda group: [point])
+    point = EntryPoint("ours", "tests.gap.effects.test_columns:Foreign", quantities.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(quantities, "entry_points", lambda group: [point])
     assert run(["effects"]) == 0
     words = " ".join(capsys.readouterr().out.split())
     assert "- foreign: from an installed package (ours = tests.gap.effects.test_columns:Foreign)" in words

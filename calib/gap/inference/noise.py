@@ -104,10 +104,10 @@ class Noise:
     weight: FloatArray  #: shape (n_units,): 1, less far from the repeats
     supported: bool = True  #: whether the runs support a noise level
     support: str = ""  #: by what, in words; else why not
-    #: shape (n_units, 6): degrees of freedom of each level by itself, where replicates measure it
-    levels_dof: FloatArray | None = None
     #: shape (6,): median noise level over that of stated sigmas and typical walks; NaN without the channel
     excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
+    #: shape (n_units, 6): degrees of freedom of each level by itself, where replicates measure it
+    levels_dof: FloatArray | None = None
 
     @property
     def finding(self) -> str:

@@ -204,7 +204,7 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
     observations = SimpleNamespace(
         usable=np.ones((48, 6), bool), condition=runs, kind=runs % 6, run=runs, windowed=False
     )
-    noise = SimpleNamespace(floor=np.ones((48, 6)), dof=90.0)
+    noise = SimpleNamespace(floor=np.ones((48, 6)), dof=90.0, levels_dof=None)
     evidence = SimpleNamespace(observations=observations, noise=noise, fitted=SimpleNamespace(left=left))
     assert stands_off(evidence) is found  # type: ignore[arg-type]
 
@@ -218,7 +218,7 @@ def test_windows_of_one_recording_that_agree_share_what_its_radii_are_off_by(run
     observations = SimpleNamespace(
         usable=np.ones((24, 6), bool), condition=condition, kind=condition, run=run, windowed=True
     )
-    noise = SimpleNamespace(floor=np.ones((24, 6)), dof=90.0)
+    noise = SimpleNamespace(floor=np.ones((24, 6)), dof=90.0, levels_dof=None)
     evidence = SimpleNamespace(observations=observations, noise=noise, fitted=SimpleNamespace(left=left))
     assert stands_off(evidence) is found  # type: ignore[arg-type]
 
