@@ -101,19 +101,19 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     jacobian, residuals = whitened(solution, fitted.parameters.free)
     shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed)
     shift *= np.sqrt(solution.weights)[:, None]
-    # each by its own scatter: in what all of them together know best, a size far off is not linear
+    # each by its own scatter: together they know best what is not linear in a large size
     back = np.linalg.inv(solution.whitener)
     back /= np.sqrt(np.square(back).sum(axis=2))[:, :, None]
     flat = (back @ jacobian).reshape(-1, jacobian.shape[2])
     both = (back @ np.stack([shift, residuals], axis=2)).reshape(-1, 2)
     # without what the vehicle's parameters explain
     column, rest = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
-    information = float(column @ column)
-    if information <= 0.0:
+    information, runs = float(column @ column), model.segments.run
+    group = np.repeat(runs if len(np.unique(runs)) >= FEWEST_GROUPS else model.segments.block, 3)
+    # groups that the parameters fit in full scatter no more
+    if information <= 0.0 or len(np.unique(group)) <= flat.shape[1] + 1:
         return 0.0, 0.0, np.inf
     steps = float(column @ rest) / information
-    runs = model.segments.run
-    group = np.repeat(runs if len(np.unique(runs)) >= FEWEST_GROUPS else model.segments.block, 3)
     pulls = np.bincount(group, column * (rest - steps * column))
     std = float(np.sqrt(np.square(pulls).sum())) / information
     share = 1.0 - float(np.square(rest - steps * column).sum() / max(float(rest @ rest), 1e-300))

@@ -73,8 +73,8 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
             far[run] = float(known[0])
     if far:
         text = f"""{len(far)} log(s) begin at {min(far.values()):.4g} to {max(far.values()):.4g} m, by which their
-            distances are too long ({checks.listed(campaign.runs.run_id[[*far]])}); expected the distance from the
-            start: subtract the first reading, or give from_start = true to 'calib ingest'"""
+            distances are too long ({checks.listed(campaign.runs.run_id[[*far]])}); expected distances from the start:
+            subtract the first reading (from_start = true in a mapping)"""
         yield implausible_column("range_m", text, of="logs")
 
 

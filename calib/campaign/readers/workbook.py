@@ -71,7 +71,7 @@ def _without_results(path: Path, shown: str, sheet: tuple[str, int], bare: Seque
         book[name].reset_dimensions()
         cells = (cell for row in book[name].iter_rows(max_row=last_row or None, values_only=True) for cell in row)
         number = sum(isinstance(cell, str) and cell.startswith("=") for cell in cells)
-    text = f"{number} formulas, and no results of them; open it in a spreadsheet program and save it again"
+    text = f"{number} formulas without results; open it in a spreadsheet program and save it again"
     return [Note("suspicious", f"{shown}, column {', '.join(bare)}", text, "formulas")] if number else []
 
 

@@ -164,8 +164,8 @@ class NoiseComponents:
     def dof(self, log_scale: FloatArray, uncertainty: FloatArray) -> FloatArray:
         """Return the degrees of freedom of each unit's level in each channel, shape (n_units, 6).
 
-        `uncertainty`: covariance of the logs of the scales; of a level's square by that of its logarithm, 2 over them
-        (Satterthwaite, Biometrics Bulletin 2 (1946) 110).
+        2 over the variance of its square's logarithm (Satterthwaite, Biometrics Bulletin 2 (1946) 110), by the
+        `uncertainty` of the scales' logs.
         """
         variance, diagonal = np.exp(2 * log_scale) * self.active, np.diagonal(self.kernels, axis1=2, axis2=3)
         level = np.tensordot(variance, diagonal, axes=1) + np.diagonal(self.fixed, axis1=1, axis2=2)

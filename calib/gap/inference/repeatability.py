@@ -181,7 +181,7 @@ class ScaleLikelihood:
         return weight
 
     def uncertainty(self, log_scale: FloatArray) -> FloatArray:
-        """Return the covariance of the scales' logs, (n_components, n_components): expected information and prior."""
+        """Return the covariance of the logs of the scales, (n_components, n_components)."""
         variance = np.exp(2 * log_scale) * self.active
         factor = whitener_of(self.shapes.covariance(log_scale, np.ones(len(self.usable))))
         kept = self.solved(factor)[1]
