@@ -281,6 +281,12 @@ def _by_odometer(made: Campaign) -> Campaign:
 
 
 # check, code, level, fault, the run that must be named ("" for the whole campaign)
+def _from_a_wall(made: Campaign) -> Campaign:
+    ranged, distance = _ranged(made, cut=1.0), made.runs.number("distance_m")
+    ranged = with_log_columns(ranged, range_m=ranged.logs.columns["range_m"] + 0.45)
+    return with_numbers(ranged, distance_m=distance + 0.45)
+
+
 FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("missing_values", "missing_counts", "suspicious", number("counts_left", lambda _: np.nan, 4), ""),
     ("missing_values", "missing_distance", "suspicious", number("distance_m", lambda _: np.nan, 4), ""),
@@ -288,6 +294,14 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("distance_span", "distance_span", "suspicious", number("distance_m", lambda d: d * 1000, 4), "r004"),
     ("distance_against_log", "distance_disagrees", "suspicious", lambda m: _ranged(m, cut=0.99), "r000"),
     ("distance_against_log", "distance_span", "suspicious", lambda m: _ranged(m, cut=1000), "r000"),
+    ("distance_against_log", "implausible", "wrong", _from_a_wall, ""),
+    (
+        "missing_values",
+        "missing_distance",
+        "wrong",
+        lambda m: with_numbers(m, distance_m=np.full(len(m.runs), np.nan)),
+        "",
+    ),
     ("distance_against_pose", "distance_against_pose", "suspicious", _longer, ""),
     ("track_against_bows", "track_against_bows", "suspicious", lambda m: wandering(m, track_m=0.64), ""),
     ("mirrored_ends", "mirrored_ends", "suspicious", lambda m: _mirrored(wandering(m, turned=0.01)), ""),

@@ -297,3 +297,16 @@ def test_a_table_of_unknown_names_is_no_log(beside: bool, tmp_path: Path) -> Non
     assert "[table]" in text
     assert 'load_left_N = "Carico sx [N]"' in text and 'distance_m = "Spazio [m]"' in text
     assert "direction" not in text
+
+
+def test_run_tables_in_several_folders_are_one_campaign_and_said_to_be(tmp_path: Path) -> None:
+    """Of three vehicles by chance: nothing in the files says so, but where they lie."""
+    for number in range(3):
+        folder = tmp_path / "lab" / f"agv{number}"
+        folder.mkdir(parents=True)
+        rows = (f"agv{number}-{at},{40 + way},{way * 6500},{way * 6501}" for at, way in enumerate((0.3, 0.1, 0.8)))
+        (folder / "runs.csv").write_text("\n".join(["run_id,distance_m,counts_left,counts_right", *rows]) + "\n")
+    text, made = _proposed(tmp_path, tmp_path / "lab")
+    assert "several" in text and "vehicles" in text
+    assert len(made.runs) == 9
+    assert [note.level for note in made.notes if note.code == "folders"] == ["suspicious"]

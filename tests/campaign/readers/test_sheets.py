@@ -182,3 +182,11 @@ def test_a_header_that_comes_again_is_no_row(book: bool, tmp_path: Path) -> None
         table = _csv(tmp_path, "\n".join(lines) + "\n")
     assert [str(cell)[:3].removesuffix(".0") for cell in table.columns["Run"]] == ["1", "2", "3", "Run"]
     assert [note.where.partition(", ")[2] for note in table.notes if "header again" in note.text] == ["row 5", "row 6"]
+
+
+def test_formulas_without_results_are_named(tmp_path: Path) -> None:
+    """A program that writes a workbook computes nothing: the cells are empty until a spreadsheet program saves it."""
+    rows: list[list[object]] = [["run", "start", "end", "distance_m"]]
+    rows += [[f"r{at}", 0.5, 10.5 + at, f"=C{at + 2}-B{at + 2}"] for at in range(3)]
+    assert "column distance_m: 3 formulas without results" in _said(_book(tmp_path, rows))
+    assert "formulas" not in _said(_book(tmp_path, [[*row[:3], None] if at else row for at, row in enumerate(rows)]))
