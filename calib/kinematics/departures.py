@@ -110,8 +110,8 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     column, rest = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
     information, runs = float(column @ column), model.segments.run
     group = np.repeat(runs if len(np.unique(runs)) >= FEWEST_GROUPS else model.segments.block, 3)
-    # groups that the parameters fit in full scatter no more
-    if information <= 0.0 or len(np.unique(group)) <= flat.shape[1] + 1:
+    # groups fitted in full scatter no more
+    if information <= 0.0 or len(np.unique(group)) < min(FEWEST_GROUPS, flat.shape[1] + 2):
         return 0.0, 0.0, np.inf
     steps = float(column @ rest) / information
     pulls = np.bincount(group, column * (rest - steps * column))
