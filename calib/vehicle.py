@@ -48,8 +48,8 @@ class Vehicle:
     #: permissible wheel load
     max_wheel_load_N: Positive = 5000.0
     #: tricycle: front wheel driven and steered; differential: two rear wheels driven; mecanum: four wheels with rollers
-    #: at 45 degrees; ackermann: front wheels steered, the way counted at the rear axle or the drive shaft; skid: like
-    #: differential, the track an effective one
+    #: at 45 degrees; ackermann: front wheels steered, the way counted at rear axle or drive shaft; skid: a differential
+    #: of effective track
     drive: Drive = "tricycle"
     #: radius of the front wheel; None where the rear wheels' holds for it too
     front_wheel_radius_m: Positive | None = None

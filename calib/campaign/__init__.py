@@ -118,11 +118,9 @@ def _statistic(row: FloatArray, others: FloatArray) -> str:
     known = np.isfinite(row) & (np.isfinite(others).sum(axis=0) > 1)
     known[known] = np.nanstd(others[:, known], axis=0) > 0
     row, others = row[known], others[:, known]
-    # half of the last decimal, and rounding
     exponents = [min(0, int(Decimal(repr(float(value))).normalize().as_tuple().exponent)) for value in row]
     allowed = 0.51 * 10.0 ** np.asarray(exponents, dtype=np.float64) + 1e-9 * np.abs(row)
     chance = np.minimum(1.0, 2 * allowed / np.nanstd(others, axis=0))
-    # a repeat of one run is none
     if np.prod(chance) > _BY_CHANCE or (np.abs(others - row) <= allowed).all(axis=1).any():
         return ""
     numbers_of = {

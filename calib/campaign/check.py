@@ -238,7 +238,6 @@ def check_campaign(campaign: Campaign, progress: Progress = silent, more: Iterab
             notes.extend(check(kept))
     lacking = {f"looks like {name}" for name in _NEEDED if not np.isfinite(kept.runs.number(name)).any()}
     notes = [replace(one, level="wrong") if one.text.partition(" and ")[0] in lacking else one for one in notes]
-    # wrong in its row, and not of its column, too
     told = {re.sub(", row [0-9]+", "", note.where) for note in notes if note.run_id and note.level == "wrong"}
     notes = [note for note in notes if note.run_id or note.level != "wrong" or note.where not in told]
     names = ("wrong", "suspicious", "info")

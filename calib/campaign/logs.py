@@ -56,7 +56,6 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list
         if "log" in runs.labels:
             relative = str(runs.labels["log"][index])
         else:
-            # a run id that is no plain file name has no such log
             candidates = [f"logs/{run_id}{suffix}" for suffix in suffixes] if Path(run_id).name == run_id else []
             relative = next((name for name in candidates if name in plain or (folder / name).exists()), "")
         if not relative:

@@ -41,8 +41,8 @@ NUMERIC_COLUMNS: Final = (
     *(*REFERENCE_POSE, "gyro_theta_rad", "gyro_sigma_rad", *SIMULATED_POSE, "sim_distance_m"),
 )
 
-#: what a log needs of the wheels: both rear wheels, or the driven front wheel and steering, or four (mecanum), or the
-#: rear axle and steering (Ackermann); of the rear as counts or speeds
+#: what a log needs: both rear wheels, the driven front wheel and steering, four (mecanum), or the rear axle and
+#: steering (Ackermann); of the rear as counts or speeds
 WHEEL_SETS: Final = (
     ("counts_left", "counts_right"),
     ("steer_rad", "counts_front"),

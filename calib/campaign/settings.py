@@ -141,7 +141,7 @@ class Odometry:
     """What the vehicle's own odometry runs on."""
 
     #: rear: both rear wheels' encoders; front: the front wheel's encoder and steering angle; wheels: all (mecanum);
-    #: shaft: distance at the rear axle or drive shaft, and steering angle (Ackermann); None: unspecified
+    #: shaft: rear axle or drive shaft, and steering angle (Ackermann); None: unspecified
     source: Annotated[OdometrySource | None, Field(validation_alias="from")] = None
 
 

@@ -92,7 +92,6 @@ def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
     strong: list[tuple[str, float]] = []
     for turn, signal in enumerate((*SIGNALS, 10.0, 25.0)):
         for place, name in enumerate(_library()):
-            # constant lost counts have their own group
             forms = [item.form for item in forms_of(name) if (name, item.form) != ("lost_counts", "constant")]
             strong.append((f"{name}/{forms[(turn + place) % len(forms)]}", signal))
     if count < len(strong) + len(faults):

@@ -104,7 +104,6 @@ def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> De
     if recipe.design == "laser_only":
         return replace(poor_design("corridor_only", rng, n_runs=n_runs), poses="none")
     design = poor_design(recipe.design, rng, n_runs=n_runs)
-    # an alias by design has to be seen: with end poses
     return replace(design, poses="all") if recipe.group == "alias" else design
 
 
@@ -235,7 +234,6 @@ def _spaces(signatures: Mapping[str, Sequence[FloatArray]]) -> list[_Space]:
             left, size, _ = np.linalg.svd(kept, full_matrices=False)
             rank = int((size > max(RANK * size.max(initial=0.0), 1e-6)).sum())
             if rank == 1:
-                # one direction keeps its sign
                 spaces.append(_Space(number, kept[:, :1], effect in ONE_SIGN))
             elif rank > 1:
                 spaces.append(_Space(number, left[:, :rank], False))

@@ -155,9 +155,8 @@ class Replay:
 
     observations: Observations
     design: Design  #: what was driven, as the plant's forms ask for it
-    #: the logged steps of every unit side by side, short units filled with zeros, shape (n_steps_most, n_units): by
-    #: the names of `Moment` its motion, smoothed; rotation of the wheels, duration and end of each step; way and angle
-    #: of a front wheel that alone drives the odometry
+    #: the logged steps of every unit, filled with zeros, shape (n_steps_most, n_units): by the names of `Moment` its
+    #: motion, smoothed; rotation of the wheels, duration and end of each step; way and angle of a driven front wheel
     steps: Mapping[str, FloatArray]
     last: IntArray  #: shape (n_units,): last step of each unit
 
@@ -220,7 +219,6 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray, FloatArra
     angles = None
     if replay.observations.by_front:
         angles = true_angles(steps["steer_rad"], steps["time_s"], replay.last, world)
-    # a count that is lost was rolled all the same
     left_m, right_m = world.believed_left_m * world.left, world.believed_right_m * world.right
     track_m = world.model.track_m * world.track
     for step, duration in enumerate(steps["duration_s"]):

@@ -175,7 +175,6 @@ def _sized(
         return [], "these runs cannot show it" + (": a recalibration takes it up" if whole > 0 else "")
     plants = []
     for wanted, scale in sizes:
-        # an outside cause has no unit
         if given.outside and scale != "s":
             continue
         value = {"s": given.typical * wanted / left, "x": given.typical * wanted}.get(scale, wanted)

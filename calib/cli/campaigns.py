@@ -321,7 +321,6 @@ def simulate(
 
     from calib.plant.make import FleetSize, FleetTruth, PosedTruth, make_fleet, make_posed_fleet
 
-    # a folder that is there may be added to
     if into.is_dir() and not terminal.forced():
         raise BadInputError(f"{into}: found a folder; expected a new one; give --force to replace files in it")
     terminal.refuse_outputs(None if into.is_dir() else into)

@@ -174,7 +174,6 @@ def export(
     """
     from calib.coefficients.build import coefficients_of, export
 
-    # a dash is standard output, as for --json
     output = None if output == Path("-") else output
     terminal.refuse_outputs(None if output is not None and output.is_dir() else output)
     accept = accept_implausible.strip()

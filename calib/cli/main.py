@@ -93,7 +93,6 @@ def _machine_refused(error: Exception) -> str:
         beyond = f"found numbers that differ too much in size to compute with ({error})"
         return f"{beyond}; expected numbers of ordinary size; hold the campaign against 'calib check'"
     if isinstance(error, OSError) and error.errno != errno.ENOMEM:
-        # what a library writes on the way has no name here
         named = isinstance(error.filename, str | bytes)
         where = os.fsdecode(error.filename) if named else "standard output, or a temporary file"
         return f"{where}: found {error.strerror or error}; expected a place that works; choose another, or more room"

@@ -92,7 +92,6 @@ def _dataset(folder: Path) -> tuple[Member, ...]:
         parts = []
         for name, partition, direct in sorted(_files_in(entry.path, entry.name, plain=not entry.is_symlink())):
             day = _day_of(partition)
-            # of many files only links are resolved
             parts.append(Part(name, folder / name, folder, day) if direct else _part(folder, name, folder, day))
         members.append(Member(entry.name.partition("=")[2], tuple(parts)))
     return tuple(members)

@@ -242,7 +242,6 @@ class DaskEngine(Engine):
             from distributed import Client, fire_and_forget
         except ImportError as error:
             raise MissingExtraError("a Dask scheduler", "distributed", "fleet") from error
-        # the error says once what goes wrong
         for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self._address = scheduler

@@ -128,7 +128,6 @@ def _slopes_and_sections(diagnosis: Diagnosis) -> tuple[dict[str, tuple[float, i
     sections: list[EffectSection] = []
     for form, theta, place in fitted.each():
         if form.effect in named and effect_class(form.effect).carries_law_slope:
-            # of one counter both wheels have the mean law
             rows = range(2) if len(theta) > 1 else (0, 0)
             slopes = {side: (float(theta[k]), place.start + k) for side, k in zip(("left", "right"), rows, strict=True)}
         elif form.effect in named:

@@ -130,7 +130,6 @@ def _judged(
     effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
     offered, every = {effect.id for effect in effects}, effects
     effects, noise, base, searched = _searched(nominal, effects, progress)
-    # what a simulator was run for is not made anew
     for number in range(MOUNTINGS if candidates is None else 0):
         if mounted := sought.mounted(given, situation, searched, every, refine=number == 0):
             situation = sought.remounted(given, situation, mounted)
@@ -213,7 +212,6 @@ def diagnosed(
     )
     beyond = () if model is None else beyond_law(model, found.observations)
     found = replace(found, notes=(*found.notes, *beyond))
-    # a lever arm is written as the sensor's place
     kept = [effect for effect in effects if effect.effect != ReferenceLeverArm.id]
     return found, tuple(effect for effect in kept if not effect.form.endswith(ELSEWHERE))
 
@@ -241,7 +239,6 @@ def _searched(
         # what a large effect leaves within conditions is no noise: estimate it without the effect, and search again
         again = estimate_noise(best.path, best.left) if best.forms else noise
         ratio, usable = noise.floor / again.floor, nominal.s.usable
-        # a channel that few runs have changes as well
         change = np.array([abs(np.log(np.median(ratio[use, k]))) for k, use in enumerate(usable.T) if use.any()])
         # where the runs end far off under any effect, the verdict is a blunder at any noise level
         if (

@@ -328,7 +328,6 @@ def residuals(path: Path, nominal: Path) -> FloatArray:
     and in no signature. It is given back.
     """
     s, gap = path.s, measured_gap(path, nominal)
-    # a user's simulator bends its path by itself
     own = s.usable[:, Channel.HEADING] & (not s.calibration_held)
     bend = np.where(own, np.clip(gap[:, Channel.HEADING], -LARGEST_BEND_RAD, LARGEST_BEND_RAD), 0.0)
     taken = np.zeros_like(gap)

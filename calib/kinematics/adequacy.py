@@ -21,8 +21,8 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray, few_digits
 
 #: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
 LACK_OF_FIT: Final = 3.0
-#: a residual below this share of the distance travelled (of the rotation, for headings) is as small as calibrated wheel
-#: odometry gets (UMBmark's and our real recordings: 0.1 to 0.5 %), even where replicates scatter less
+#: a residual below this share of the distance travelled (of the rotation, for headings) is as small as wheel odometry
+#: gets (UMBmark's and our recordings: 0.1 to 0.5 %), even where replicates scatter less
 SMALL_SHARE: Final = 0.005
 #: a result that leaves more of the error on held-out runs explains nothing
 USELESS_SHARE: Final = 0.9
@@ -36,8 +36,8 @@ FOLDS: Final = 5
 LEAST_TOLD: Final = 0.25
 #: from which replicates' scatter counts: known to about a third
 REPLICATE_DOF: Final = 4
-#: drift of a calibrated odometry without replicates: share of the way (UMBmark's robots: 0.1 to 0.5 %), and heading as
-#: a share of the rotation and in rad per metre
+#: drift of a calibrated odometry: share of the way (UMBmark: 0.1 to 0.5 %), and heading as a share of the rotation and
+#: in rad per metre
 USUAL_DRIFT: Final = 0.003
 #: chance of an outlier: one in a hundred campaigns
 OUTLIER_CHANCE: Final = 0.01
@@ -47,8 +47,7 @@ FEW_OUTLIERS: Final = 0.1
 MANY_OUTLIERS: Final = 0.25
 #: a reference nearer to the nominal odometry than this share of the distance is a copy of it: 24 um in 8 m
 COPIED_SHARE: Final = 3e-6
-#: or, where its wheels were counted, within so many counts: each of two begins and ends within one; a coarser count
-#: may hide more
+#: or, where its wheels were counted, within so many counts: each of two begins and ends within one
 COPIED_COUNTS: Final = 2.0
 FINE_M: Final = 2e-4
 #: heading residuals are not held against a smaller turn, mostly chance in the reference's heading
@@ -342,9 +341,8 @@ def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[
 
 #: what then tells the wheels apart is how much a bent path shortens a run: a square, alike to either side
 LENGTHS_ALONE: Final = (
-    "lengths of straight runs alone: they do not tell the wheels apart, nor the track, and neither radius holds by "
-    "itself; 'calib fit' takes the runs for straight, and end headings (ref_theta_rad, a gyro) or closed loops tell "
-    "the wheels apart"
+    "lengths of straight runs alone do not tell the wheels apart, nor the track; 'calib fit' takes the runs for "
+    "straight, and end headings (ref_theta_rad, a gyro) or closed loops tell the wheels apart"
 )
 
 
@@ -368,7 +366,6 @@ def _further(
         yield f"{numbers} measured numbers for {n_free} parameters are fitted exactly and show nothing: drive more runs"
     n_off = len(np.intersect1d(outliers, whole.recording.run_id[np.unique(whole.segments.run[large])]))
     if n_off > MANY_OUTLIERS * n_runs:
-        # too many for single bad runs
         some = f", {n_off} by more than {100 * SMALL_SHARE:g} % of way or rotation" if n_off < len(outliers) else ""
         yield f"{len(outliers)} of {n_runs} runs are outliers{some}: look at their references, times and counts"
     rolled = float(np.hypot(heading.after * position.travelled, position.usual_noise))

@@ -342,7 +342,6 @@ def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
     recording, _ = corrected(recording, coarse, source, drive_of(campaign, source, recording))
     drive = drive_of(campaign, source, recording)
     nominal = {item.name: item.nominal for item in parameters_of(drive, campaign.reference)}
-    # a gyro's scale is no part of the path
     found = geometry.values | {GYRO_SCALE: 1.0}
     calibrated = np.array([found.get(name, value) for name, value in nominal.items()])
     own_delay = {delay.label: delay.value_s - calibrated[-1] for delay in geometry.delays}

@@ -47,7 +47,7 @@ TRIAL_NOISE_ROUNDS: Final = 1
 #: and up to a step of less log likelihood
 TRIAL_STEADY: Final = 0.1
 #: a reading that leaves twice as much in a rough fit, or lengths twice as far off as plausible, is not tried: a wrong
-#: one mostly leaves ten times as much
+#: one leaves ten times as much
 SCREENED: Final = 2.0
 #: readings within this factor of the least are alike: the first, the simplest, is named
 ALIKE: Final = 1.3
@@ -84,7 +84,6 @@ def find_blunder(
     try:
         whole = divide(campaign, recording).are_runs_of(recording)
     except CalibError:
-        # no reading brings a reference
         return None
     per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)
     drive = drive_of(campaign, source, recording)
@@ -100,7 +99,6 @@ def find_blunder(
         return _tried(stated, changed, driven, divide, sensor)
 
     as_it_stands, without = tried(unchanged), cache(partial(tried, screened=True))
-    # the sensor is none of whole runs' parameters
     turned = as_it_stands if whole else tried(unchanged, sensor=MOUNTED, screened=True)
     # impossible lengths explain nothing, and a sensor that is turned a little no reading
     enough = min([SMALL_SHARE, *(CLEARLY_LESS * trial.share for trial in (as_it_stands, turned) if trial.plausible)])
@@ -168,7 +166,6 @@ def _tried(
         with np.errstate(all="ignore"):
             solution = solve(model, parameters, parameters.nominal, scales, *rounds)
             values, residuals = solution.values, solution.prediction.residuals
-            # without a few outliers
             share = _trimmed(np.square(residuals / _sizes(model, values)).sum(axis=1))
     except (CalibError, np.linalg.LinAlgError, ValueError):
         return Trial(np.inf, False, 0.0)

@@ -42,9 +42,8 @@ OR_MIRRORED: Final = (
 )
 #: without headings a mirror of the map is to its course the same as left for right, or backward for ahead
 OF_A_COURSE: Final = (
-    "the course bends the other way than by the wheels: ref_x_m and ref_y_m are exchanged or one is mirrored, or "
-    "wheels are exchanged, or counters or the steering angle have the other sign; without headings all are alike: "
-    "drive a left turn, and correct the one that is wrong"
+    "the course bends the other way than by the wheels: ref_x_m and ref_y_m are exchanged or one is mirrored, wheels "
+    "are exchanged, or counters or the steering angle have the other sign: drive a left turn, and correct the wrong one"
 )
 #: column of the yaw rate that, with v_mps, stands for two wheels
 TWIST: Final = "omega_radps"

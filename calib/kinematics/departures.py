@@ -110,7 +110,6 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     column, rest = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
     information, runs = float(column @ column), model.segments.run
     group = np.repeat(runs if len(np.unique(runs)) >= FEWEST_GROUPS else model.segments.block, 3)
-    # groups fitted in full scatter no more
     if information <= 0.0 or len(np.unique(group)) < min(FEWEST_GROUPS, flat.shape[1] + 2):
         return 0.0, 0.0, np.inf
     steps = float(column @ rest) / information
@@ -134,7 +133,6 @@ def remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Seg
         return segments
     ends = segments.first, segments.last
     finite = np.isfinite(after[:, ends])
-    # of positions alone no heading is needed
     finite[2] |= ~segments.seen[:, 2]
     known = segments.seen & np.asarray(finite.all(axis=(0, 1)))[:, None]
     added = np.subtract(*(measured_between(part, *ends, segments.around) for part in (after, before)))

@@ -40,8 +40,8 @@ class Parameter:
     #: for example ``track_m``
     name: str
     nominal: float
-    #: standard deviation of the true value about the nominal one, before any data; it scales the parameter, and data
-    #: that do not do clearly better leave it undetermined
+    #: standard deviation of the true value about the nominal one: it scales the parameter, and data that do not do
+    #: clearly better leave it undetermined
     prior_std: float
 
 

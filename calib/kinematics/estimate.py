@@ -24,8 +24,8 @@ from calib.types import FloatArray, Progress, silent, stepped
 
 Using = Literal["end_poses", "windows"]
 
-#: a finer division is taken where its intervals are at most this much wider: a bad measurement then spoils less, and a
-#: standard deviation from some dozens of blocks is itself known to 15 %
+#: a finer division is taken where its intervals are at most this much wider: a bad measurement spoils less, and a
+#: standard deviation from some dozens of blocks is known to 15 %
 AS_GOOD: Final = 1.25
 #: heading errors beyond this bend the path between two poses by more than a linear model of them allows
 BENT_RAD: Final = 0.1

@@ -22,8 +22,8 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
-#: a radius further from nominal, relative, is one of wrong counts or units: the least, a factor of two, halves it; a
-#: tenth of that less for the tyre
+#: a radius further from nominal, relative, is one of wrong counts or units: a factor of two halves it; a tenth less for
+#: the tyre
 GROSS: Final = 0.45
 #: of two wheels, where data leave it open
 MEAN_RADIUS: Final = "mean_radius_m"
@@ -143,7 +143,6 @@ def fit_parameters(
             if far is not None:
                 other = solve(model, parameters, far, drives.first_scales(campaign.reference))
                 near, off = (_squares(solution.whitener, one) for one in (solution, other))
-                # closed loops fit lengths of nothing as well
                 solution = other if off < CLEARLY_LESS * near else solution
         else:
             solution = planned(model, parameters, values, known)

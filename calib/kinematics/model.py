@@ -229,7 +229,6 @@ def _at_times(
     path: drives.Path, recording: Recording, segments: Segments, delay_s: float
 ) -> tuple[FloatArray, FloatArray, list[IntArray]]:
     # what the reference stamps t was true at t - delay; before a run's first count the vehicle moved as after it, where
-    # a late reference saw it move
     ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
     used, inverse = np.unique(ends, return_inverse=True)
     run = recording.run[used]

@@ -75,7 +75,7 @@ def _walks(path: Path, body: FloatArray, segments: Segments) -> FloatArray:
 
 
 #: entries of a lower triangle, row by row; symmetric matrices of many stretches are kept as these six, shape (6, n):
-#: products so small cost more in calls than in sums
+#: such small products cost more in calls
 _ROWS: Final = np.array([0, 1, 1, 2, 2, 2])
 _COLUMNS: Final = np.array([0, 0, 1, 0, 1, 2])
 #: how often an entry stands in the whole matrix
@@ -94,8 +94,8 @@ NOISE_STRETCHES: Final = 500
 CLOSE: Final = 1e-3
 #: a change within a step below this part of it ends the steps within: the next linearisation corrects far more
 INEXACT: Final = 1e-2
-#: a step of the noise's variances that gains less log likelihood is the last: a component that adds nothing may go on
-#: falling for ever
+#: a step of the noise's variances that gains less log likelihood is the last: what adds nothing may go on falling for
+#: ever
 STEADY: Final = 1e-3
 #: pull to the nominal values, in parts of the information there is; only for solvability
 RIDGE: Final = 1e-10

@@ -253,7 +253,6 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str]) -> lis
 
 
 def _scheduled(rng: np.random.Generator, conditions: Sequence[_Run], n_runs: int, n_sessions: int) -> list[_Run]:
-    # no condition correlates with a session
     levels = []
     for _ in range(n_sessions):
         cold = float(rng.uniform(10, 20))

@@ -265,7 +265,6 @@ class _Runs:
         return np.flatnonzero(ends)
 
     def halt(self, ended: IntArray) -> None:
-        # the moment keeps their speed
         self.speed = self.speed.copy()
         self.done[ended], self.speed[ended], self.fly_m[ended] = True, 0.0, np.inf
 

@@ -47,7 +47,6 @@ def _zone_heading(now: Moment, world: World, size: FloatArray, knobs: Knobs) -> 
 
 
 def _undulation(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the second lane is uneven
     world.rise = world.rise + size * np.char.endswith(world.design.kind, "_b")
 
 
@@ -64,7 +63,6 @@ def _weave_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
 
 @while_driving
 def _one_speed(now: Moment, _world: World, size: FloatArray, knobs: Knobs) -> None:
-    # a resonance
     now.roll_more(size * np.exp(-(((now.v_mps - knobs["at_mps"]) / 0.04) ** 2)))
 
 
@@ -138,7 +136,6 @@ def _blunder(kind: str) -> Act:
 
 
 def _payload_mass(world: World, size: FloatArray, _knobs: Knobs) -> None:
-    # the heaviest label's mass is not what it says
     wrong = world.design.payload_kg == world.design.payload_kg.max()
     world.payload_scale = world.payload_scale * (1 + size * wrong)
     world.settle()
@@ -174,7 +171,6 @@ INSTRUMENTS = (
     Form("reference_yaw", "plain", 4e-3, "rad", added("ref_yaw_rad"), "poses turns"),
     Form("reference_latency", "plain", 0.05, "s", added("latency_s"), "flying speeds poses"),
     *(Form("lost_counts", form, 1e-3, "1", _lost(by), "speeds poses", either_side) for form, by in _BY_SPEED.items()),
-    # exactly a larger radius of that wheel
     Form("lost_counts", "constant", 2e-3, "1", _lost(lambda _v: 1.0), "poses", either_side),
     *(
         Form("encoder_gross", kind, 1.0, "1", _blunder(kind), "poses turns")

@@ -94,7 +94,6 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
     for run in (start, steer, front):
         total += run[:, :, None] * run[:, None, :]
     instruments = (one * sigma**2 for sigma in (noise.laser_m, noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad))
-    # counters come in whole steps
     counted = (noise.texture_m**2 * length + 1e-8, (noise.reading_rad / wheelbase) ** 2 * length * spacing + 1e-8)
     alone = np.stack([*instruments, *counted], axis=1)
     return np.asarray(total + alone[:, :, None] * np.eye(6))
@@ -150,14 +149,12 @@ def strengths(
     """Drive without noise, without any cause and with each; see `Strength`; `weigh`: fill `alone` and `beside`."""
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
-        # end poses need no fine log
         design = replace(design, log_period_s=0.24)
     world = build_world(design.select(np.tile(np.arange(n_runs), n_causes + 1)), model)
     # the first block without any cause, the next with the first alone, and so on
     blocks = np.repeat(np.eye(n_causes, n_causes + 1, 1), n_runs, axis=1)
     apply_causes(world, causes, blocks)
     still = quiet(n_runs).tile(n_causes + 1)
-    # summed over the log
     logged = None if design.front or design.outside else n_runs
     record = drive(world, still, quantise=False, step_s=step_s, logged=logged)
     out = outputs(world, still, record).reshape(n_causes + 1, n_runs, 6)
@@ -284,7 +281,6 @@ class Alternatives:
 
     def families(self) -> dict[tuple[str, str], list[int]]:
         """Return the numbers of the variants of each form of an effect; the cause is number 0."""
-        # one wheel or the other, never both
         numbered = enumerate(self.variants, start=1)
         return grouped(((one.effect, f"{one.form}{one.knobs.get('right', '')}"), number) for number, one in numbered)
 

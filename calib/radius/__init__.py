@@ -209,8 +209,8 @@ PRECISION: Final = 0.01
 class Autocorrelation:
     """Autocorrelation of runs that follow each other."""
 
-    #: of one run and the next, freed of bias, plus a standard deviation: too small a one would leave the intervals too
-    #: narrow; 0 where none is significant
+    #: of one run and the next, freed of bias, plus a standard deviation: too small a one leaves intervals too narrow; 0
+    #: where none is significant
     rho: float
     #: of the residuals as it stands, and the probability of a larger one by chance
     lag_one: float

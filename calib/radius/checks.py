@@ -11,13 +11,13 @@ from calib.radius import Groups, breusch_pagan, groups_of, moved_by, standing_ou
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
 from calib.types import FloatArray, StrArray, few_digits
 
-#: p-values below which a check gives a note, and the law should not be used; with some nine checks a wheel the usual
-#: 5 % would give a false note in every third campaign
+#: p-values below which a check gives a note, and the law should not be used: with some nine checks a wheel 5 % would
+#: give a false note in every third campaign
 NOTE_BELOW: Final = 0.01
 FAIL_BELOW: Final = 1e-4
 UM: Final = 1e6
-#: a slope's interval widened more by autocorrelation rests on a roughly known correlation: with 0.8, loads ascending,
-#: it holds the truth in 84 to 89 % instead of 95 %
+#: a slope's interval widened more rests on a roughly known correlation: with 0.8, loads ascending, it holds the truth
+#: in 84 to 89 % instead of 95 %
 MAX_SLOPE_WIDENING: Final = 1.25
 #: of more sessions none is omitted: too many to carry the slope alone
 MAX_INFLUENCE_SESSIONS: Final = 100

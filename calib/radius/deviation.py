@@ -89,7 +89,6 @@ def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatA
     `tolerance`: largest relative error of the radius, between 0 and 1.
     """
     error = floats(tolerance)
-    # the inverse of `radius_error`
     wavelength, target = np.broadcast_arrays(wavelength_m, error / (1 - error))
     # the excess is at least that of the straight lines between the turning points, and of small amplitudes near 0
     bracket = wavelength / (2 * np.pi) * (4 * np.sqrt(target) + np.pi * target)

@@ -5,21 +5,21 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.special import chdtrc
 
 from calib.campaign.check import doubts, implausible, notes_for_results
-from calib.campaign.checks import HIDING, assumed_settings, listed, partial_slope
+from calib.campaign.checks import HIDING, assumed_settings, partial_slope
 from calib.campaign.checks.measurements import factor_reason, off
 from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadInputError, ImplausibleError, RefusedError
-from calib.radius import effective, groups_of
-from calib.radius.checks import FAIL_BELOW, MAX_CELLS, NOTE_BELOW, UM, beside_load, by_t, with_checks, without_loads
+from calib.radius import effective
+from calib.radius.checks import NOTE_BELOW, UM, beside_load, by_t, with_checks, without_loads
 from calib.radius.effective import EffectiveRadii, effective_radii
-from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, fit_wheel, t_quantile
+from calib.radius.regression import FAILED, NOTE, Check, WheelFit, fit_wheel, t_quantile
 from calib.radius.result import PLAUSIBLE, Fit, Setup
-from calib.types import FloatArray, IntArray, StrArray
+from calib.radius.table_readings import MIN_SLOPE_DOF, held_against_residuals, scatter_check
+from calib.types import FloatArray, StrArray
 
 #: largest reference load over the largest driven; further out the line has no digits left
 MAX_REFERENCE_RATIO: Final = 1e4
@@ -30,18 +30,12 @@ MAX_SCATTER: Final = 0.03
 MIN_SPAN_K: Final = 1.0
 #: usual relative change of a radius with temperature, 0.1 % in 20 K
 USUAL_PER_K: Final = 5e-5
-#: less sessions and both lines, for the scatter about a further slope
-MIN_SLOPE_DOF: Final = 5
+#: of a load, usual with scales under the wheels
+WEIGHED_TO: Final = 0.01
 #: lengths nearer than so many times a distance's uncertainty hold that error themselves
 LENGTHS_APART: Final = 30.0
 #: errors of a fifth of each amplitude look like one 0.8 times as large; peak to peak is twice
 OTHER_AMPLITUDE: Final = 1.5
-#: of a radius: the tolerance of 'calib deviation'
-PATH_TOLERANCE: Final = 5e-4
-#: of what runs differ by; a law that leaves more of runs held out takes away less than three quarters of its square
-WORTH_SHARE: Final = 0.5
-#: of reading and fitting in turn, which settle in a few
-ROUNDS: Final = 20
 #: checks that explain the scatter
 EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
 #: columns whose span is reported
@@ -63,7 +57,7 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
         checked = with_checks(unchecked, radii.session, radii.direction, radii.run_id)
         wheels.append(with_instrument_checks(checked, radii.distance_m, std, radii.session))
     woven = tuple(_weave(radii, wheels))
-    wheels = [replace(one, checks=(*one.checks, *woven)) for one in _held_against_residuals(radii, wheels)]
+    wheels = [replace(one, checks=(*one.checks, *woven)) for one in held_against_residuals(radii, wheels)]
     radii = replace(radii, budget=(*radii.budget, *effective.observed_components(radii, *wheels)))
     return Fit(name, simulated, wheels[0], wheels[1], radii, notes=radii.notes)
 
@@ -99,6 +93,8 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, n
         wheel = effective.with_systematic(line if given else without_loads(line), radii, sources)
         wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal, radii.run_id), *spoilt, *wheel.checks))
         wheel = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
+        if given and not any(source.section == "weighing" for source in sources):
+            wheel = _with_weighing_check(wheel)
         if not any(source.section == "path" for source in sources) and np.isnan(used.number("ref_theta_rad")).all():
             # two wheels' paths to a bow: b times its turn of 8 h / S, half of it each
             per_bow = 4.0 * campaign.vehicle.track_m * wheel.radius_m / radii.distance_m**2
@@ -175,7 +171,7 @@ def with_instrument_checks(fit: WheelFit, distance_m: FloatArray, std_m: FloatAr
     std, fitted = np.nan_to_num(std_m), fit.fitted(session)
     checks = [*fit.checks, *_run_length(fit, fit.radius_m.mean() / distance_m, std, fitted)]
     if not any(check.level == FAILED and check.name in EXPLAINED_BY for check in checks):
-        checks += _scatter(fit, std, session)
+        checks += scatter_check(fit, std, session)
     return replace(fit, checks=tuple(checks))
 
 
@@ -229,33 +225,13 @@ def _weave(radii: EffectiveRadii, wheels: list[WheelFit]) -> Iterator[Check]:
     yield by_t("weave", share, sd, dof, sentences, fails=not 1.0 / OTHER_AMPLITUDE < times < OTHER_AMPLITUDE)
 
 
-def _scatter(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Check]:
-    dof = len(std_m) - fit.fitted(session).shape[1]
-    stated, scatter = float(np.sqrt(np.mean(np.nan_to_num(std_m) ** 2))), fit.run_std_m
-    if dof < MIN_SLOPE_DOF or stated <= 0.0:
-        return
-    ratio, least = scatter / stated, max(PATH_TOLERANCE * float(fit.radius_m.mean()), stated)
-    p_value, level = float(chdtrc(dof, dof * ratio**2)), OK
-    finding = p_value < NOTE_BELOW and scatter**2 > stated**2 + least**2
-    sentence = "Runs scatter no more than a straight path lets them."
-    if finding:
-        level, times = NOTE, f"{ratio:.{0 if ratio >= 10.0 else 1}f} times"
-        sentence = (
-            f"Runs scatter by {UM * scatter:.3g} um, {times} what rangefinder and counters explain: the cause (a "
-            "weave, slip) is not known, and may move the law by as much, which no interval holds; add logs, or "
-            "amplitude_m and wavelength_m."
-        )
-    # what a path may add is no finding, however sure
-    yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
-
-
 def _with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
     # radius_per_bow: what a bow of all runs moves the radius by
     moved, level = f"{UM * 0.01 * radius_per_bow:.2g} um", NOTE
     sentence = (
-        "No run's heading at the end was measured: the paths are taken for straight. A bow of 1 cm, the same in all "
-        f"runs, moves the radius by {moved}, and the other wheel's the other way, which no interval holds; measure "
-        "ref_theta_rad, or declare path.apart_m under [uncertainty]."
+        f"No end heading was measured: paths are taken for straight. A bow of 1 cm in all runs moves the radius by "
+        f"{moved}, the other wheel's the other way, which no interval holds; measure ref_theta_rad, or declare "
+        "path.apart_m under [uncertainty]."
     )
     if apart_m >= 0.0:
         level = FAILED
@@ -265,6 +241,23 @@ def _with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> Wh
             "the vehicle by a line."
         )
     return replace(fit, checks=(*fit.checks, Check("path", level, sentence)))
+
+
+def _with_weighing_check(fit: WheelFit) -> WheelFit:
+    # an error of a load that was weighed once is in every run of it
+    loads_N, n_runs = np.unique(fit.load_N, return_counts=True)
+    if fit.model != "line" or (n_runs < 2).any():
+        return fit
+    lever = n_runs * (loads_N - fit.load_N.mean()) / np.sum((fit.load_N - fit.load_N.mean()) ** 2)
+    moved = abs(fit.law.slope_m_per_N) * float(np.linalg.norm(lever * WEIGHED_TO * loads_N))
+    if moved < fit.law.std_of((0.0, 1.0)):
+        return fit
+    sentence = (
+        f"{len(loads_N)} loads stand for {len(fit.load_N)} runs, as if weighed once or computed: errors of "
+        f"{100 * WEIGHED_TO:.0f} % move the slope by {UM * moved:.2g} um/N, which no interval holds; weigh each run, "
+        "or declare weighing.scale under [uncertainty]."
+    )
+    return replace(fit, checks=(*fit.checks, Check("weighing", NOTE, sentence)))
 
 
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
@@ -294,98 +287,3 @@ def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: St
     elif np.isinf(sd):
         return fit
     return replace(fit, checks=(*fit.checks, check))
-
-
-def _held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
-    # failed where runs scatter beyond instruments and paths, and the law leaves most of what they differ by, or another
-    # reading of the table leaves far less
-    found = [[*_scatter(one, getattr(radii, f"std_{one.wheel}_m"), radii.session)] for one in wheels]
-    if all(check.level == OK for part in found for check in part) or "constant" in {wheel.model for wheel in wheels}:
-        return wheels
-    other, judged = _other_reading(radii), []
-    for wheel, scatter in zip(wheels, found, strict=True):
-        left_m, before_m = _left(wheel, radii)
-        if any(check.level == NOTE for check in scatter) and (other or left_m > WORTH_SHARE * before_m):
-            worst = ", ".join(radii.run_id[np.argsort(-np.abs(wheel.residual_m))][:3])
-            remedy = f"hold loads, counts and distances against the notes of the day, first of {worst}"
-            sentence = (
-                f"the loads do not explain the {wheel.wheel} wheel's radii: the law leaves {UM * left_m:.3g} of "
-                f"{UM * before_m:.3g} um of runs held out, {scatter[0].statistic:.0f} times what instruments explain"
-            )
-            checks = (Check(PLAUSIBLE, FAILED, f"{sentence}; {other or remedy}"), *wheel.checks)
-            wheel = replace(wheel, checks=tuple(check for check in checks if check.name != "scatter"))
-        judged.append(wheel)
-    return judged
-
-
-def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
-    pairs = []
-    for means in (np.ones((len(radii), 1)), groups_of(radii.session).indicators):
-        sizes = []
-        for columns in (np.column_stack((means, wheel.load_N)), means):
-            basis = np.linalg.qr(columns)[0]
-            slack = np.maximum(1.0 - np.sum(basis**2, axis=1), 1.0 / len(radii))
-            sizes.append(float(np.std((wheel.radius_m - basis @ (basis.T @ wheel.radius_m)) / slack)))
-        pairs.append((sizes[0], sizes[1]))
-    return min(pairs, key=lambda pair: pair[0] / max(pair[1], 1e-300))
-
-
-def _other_reading(radii: EffectiveRadii) -> str:
-    # chance: the ratio of the squares to the power of half their degrees of freedom (of one wheel), times the readings
-    loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
-    radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))
-    days, n = groups_of(radii.session).indicators, len(loads)
-    dof = n - days.shape[1] - 1
-    pairs: FloatArray = np.unique(np.round(np.vstack((loads, loads[:, ::-1])), 2), axis=0).astype(np.float64)
-    readings: dict[str, tuple[FloatArray, FloatArray]] = {
-        "the loads of left and right exchanged": (loads[:, ::-1][None], radius),
-        "the counts of left and right exchanged": (loads[None], radius[:, ::-1]),
-        "the loads of the row before": (np.roll(loads, 1, axis=0)[None], radius),
-        "the loads of the row after": (np.roll(loads, -1, axis=0)[None], radius),
-        "loads of other runs": (np.repeat(pairs[:, None], n, axis=1), radius),
-    }
-    stated = _squares(loads[None], radius[None], days, np.zeros(n))[0]
-    found = []
-    for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
-        other = np.where(np.abs(other - loads) < SAME_LOAD, loads, other)
-        options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
-        # all of them, or those of a session
-        starts = [np.zeros(n), np.ones(n), *days.T[:MAX_CELLS]]
-        of_kind = []
-        for start in starts if len(other) == 1 else _starts(loads, radius, pairs):
-            square, chosen = _squares(options, measured, days, start)
-            log_p = 0.5 * dof * np.log(max(square, 1e-300) / stated) + n * np.log(len(options))
-            # one run exchanged, or all the others: the fewer
-            fewer = log_p + np.log(n) * np.count_nonzero(chosen)
-            of_kind.append((fewer, log_p, square, f"with {name} in {listed(radii.run_id[chosen > 0])}"))
-        found += [min(of_kind)[1:]] if min(of_kind)[1] < np.log(FAIL_BELOW) else []
-    if not found:
-        return ""
-    best, square, _ = min(found)
-    # what is not clearly worse may be it, too
-    alike = ", or ".join(words for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best)
-    scatter = UM * np.sqrt(square / (2 * dof))
-    return f"read {alike}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
-
-
-def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[FloatArray]:
-    order = np.argsort(loads.sum(axis=1))
-    nearest = 1.0 + np.argmin(np.abs(pairs[:, None] - loads[order]).sum(axis=2), axis=0)
-    rank = np.argsort(np.argsort(radius.sum(axis=1)))
-    return [nearest[rank], nearest[::-1][rank]]
-
-
-def _squares(loads: FloatArray, radius: FloatArray, days: FloatArray, start: FloatArray) -> tuple[float, IntArray]:
-    # squares left by both laws and the option of each run (n,), from those at `start`; loads and radii of each option
-    # (n_options, n, 2), indicators of the days (n, n_sessions)
-    runs, chosen = np.arange(loads.shape[1]), start.astype(np.int64)
-    for _ in range(ROUNDS):
-        squares = np.zeros(loads.shape[:2])
-        for x, y in zip(np.moveaxis(loads, 2, 0), np.moveaxis(radius, 2, 0), strict=True):
-            columns = np.column_stack((days, x[chosen, runs]))
-            *shifts, slope = np.linalg.lstsq(columns, y[chosen, runs], rcond=None)[0]
-            squares += (y - days @ shifts - slope * x) ** 2
-        before, chosen = chosen, np.argmin(squares, axis=0)
-        if (chosen == before).all():
-            break
-    return float(squares[before, runs].sum()), before

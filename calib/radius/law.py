@@ -25,7 +25,7 @@ SHARES: Final = 0.5 * (1 - np.cos(np.pi * np.arange(25) / 24))
 #: half steps of the solution; the coverage is then right to 0.15 %
 WELCH_ITERATIONS: Final = 12
 #: two sessions, one degree of freedom, have no curve: nodes of equal probability miss its tail (coverage 92.6 %); each
-#: part has its own t there, which covers 95 % and more
+#: part has its own t there
 FEWEST_BETWEEN_DOF: Final = 2.0
 #: nodes of a chi-squared of few and of many degrees of freedom
 NODES_FEW_DOF: Final = 64
@@ -202,8 +202,8 @@ class LineEstimate:
     session_f: float | None
     #: the within part is heteroscedasticity-consistent (MacKinnon and White 1985)
     hc3: bool
-    #: ``crossed`` (slope from within sessions), ``confounded`` (slope from session means only), ``mixed``, ``single``
-    #: (one session, or sessions that cannot be told from runs) or ``constant`` (no slope)
+    #: ``crossed`` (slope from within sessions), ``confounded`` (from session means only), ``mixed``, ``single`` (one
+    #: session, or not to be told from runs) or ``constant`` (no slope)
     design: str
     #: change of the coefficients by a standard uncertainty of each source that is the same in every run, shape
     #: (n_sources, 2), and its degrees of freedom

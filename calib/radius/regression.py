@@ -338,7 +338,6 @@ def paired_law(left: WheelFit, right: WheelFit, groups: sessions.Groups) -> Radi
     alike = _cosine(*(wheel.load_N - wheel.load_N.mean() for wheel in wheels))
     block = of_runs * _shared(estimates[0].cov_within, estimates[1].cov_within, alike)
     block += of_sessions * _shared(estimates[0].cov_between, estimates[1].cov_between, alike)
-    # each source moves both wheels
     block += estimates[0].systematic.T @ estimates[1].systematic
     joint = RadiusLaw(left.law, right.law).covariance()
     joint[:2, 2:4], joint[2:4, :2] = block, block.T

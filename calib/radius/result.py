@@ -320,7 +320,6 @@ def compare_laws(left: WheelFit, right: WheelFit, model: RadiusLaw) -> ModelComp
         for quantity, contrasts in quantities.items():
             pairs = list(zip(laws, contrasts, strict=True))
             fitted, believed = (float(c @ [one.radius_ref_m, one.slope_m_per_N]) for one, c in pairs)
-            # not estimated, but stated
             dof = [float(one.dof_of(c)) or LARGEST_DOF for one, c in pairs]
             half = half_width(np.array([float(one.std_of(c)) for one, c in pairs]), dof)
             differences.append(Difference(wheel.wheel, quantity, fitted, believed, half))

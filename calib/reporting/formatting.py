@@ -316,7 +316,6 @@ def _parts(fitted: Sequence[_Fitted], width: int) -> list[list[_Fitted]]:
     for column in fitted:
         taken = sum(other.least + GAP for other in part) + column.least
         if part and taken > width and len(part) > (1 if parts else 0):
-            # a group stays together, unless it is all there is
             group = [other for other in part[1:] if column.head.group and other.head.group == column.head.group]
             group = group if len(part) - len(group) > 1 else []
             parts.append(part[: len(part) - len(group)])

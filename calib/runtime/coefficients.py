@@ -206,7 +206,6 @@ def _cross_covariance(document: dict[str, Any]) -> tuple[tuple[int, int, float],
             continue
         first, second = sorted(names.index(str(name)) for name in pair)
         if first // 2 == second // 2:
-            # within a wheel's own law, which has it
             continue
         one, other = (JOINT[str(name)] for name in pair)
         unit = f"({one})^2" if one == other else f"({one})({other})"

@@ -165,6 +165,30 @@ def test_a_bow_that_all_runs_have_moves_the_radius_as_stated() -> None:
         assert wheel.estimate.systematic[0, 0] == pytest.approx(sign * stated_m, rel=0.05)
 
 
+def _weighing_check(made: Campaign) -> Check | None:
+    return next((check for check in fit_campaign(made).left.checks if check.name == "weighing"), None)
+
+
+def test_errors_of_loads_weighed_once_move_the_slope_as_stated() -> None:
+    """By a Monte Carlo: each of three loads is off by 1 % in all of its runs; no repeat shows it."""
+    rng, draws = np.random.default_rng(6), 2000
+    loads = np.repeat([300.0, 700.0, 1100.0], [6, 12, 6])
+    radius = 0.1 - 1.4e-6 * (loads - 300.0) + rng.normal(0.0, 3e-6, len(loads))
+    made = straight(radius, radius, loads)
+    check = _weighing_check(made)
+    assert check is not None and check.level == NOTE
+    assert "3 loads stand for 24 runs" in check.sentence
+    errors = 1.0 + 0.01 * rng.standard_normal((draws, 3))
+    slopes = [np.polyfit(loads * np.repeat(error, [6, 12, 6]), radius, 1)[0] for error in errors]
+    # the scatter of a standard deviation over so many draws, three times, and two digits printed
+    stated = 1e-6 * float(check.sentence.partition("slope by ")[2].partition(" um")[0])
+    assert stated == pytest.approx(float(np.std(slopes)), rel=3.0 / np.sqrt(2.0 * draws) + 0.03)
+    declared = replace(made, extra={"uncertainty": {"weighing": {"scale": {"std": 0.01}}}})
+    assert _weighing_check(declared) is None
+    anew = loads + rng.normal(0.0, 1.0, len(loads))
+    assert _weighing_check(with_numbers(made, load_left_N=anew, load_right_N=anew)) is None
+
+
 def test_a_weave_of_unknown_phase_is_within_only_where_every_phase_is() -> None:
     """Of columns neither start nor end on the weave is known: a quarter period at either end turns the vehicle."""
     phase = np.linspace(0.0, 2.0 * np.pi, 400)

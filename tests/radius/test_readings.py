@@ -66,6 +66,7 @@ BLUNDERS = {
         driven(), FIVE
     ),
     "the counts of left and right exchanged in r10, r11": exchanged(driven(), "counts", DAY == "d2"),
+    "the loads, or else the counts, of left and right exchanged in all runs": exchanged(driven(), "counts", DAY != ""),
     # the load of the axle beside each wheel: no other reading of the rows says so
     "hold loads, counts and distances": with_loads(driven(), LOADS.sum(axis=1)[:, None].repeat(2, axis=1)),
 }

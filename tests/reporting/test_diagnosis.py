@@ -101,6 +101,10 @@ def test_a_title_and_its_sentence_say_a_thing_once() -> None:
     assert notice.title == "These runs cannot show whether there is a gap (undecided)"
     assert notice.text == "their noise level rests on nothing."
     assert verdict_notice(Diagnosis(VerdictKind.EXPLAINED, "The gap is small.")).text == "The gap is small."
+    sentence = "Correct this first: swapped wheels. Until then: The gap is explained by the track."
+    notice = verdict_notice(Diagnosis(VerdictKind.EXPLAINED, sentence))
+    assert (notice.level, notice.title) == ("bad", "Correct this first (explained)")
+    assert notice.text.startswith("swapped wheels.")
 
 
 @pytest.mark.parametrize(("probability", "title"), [(0.31, "Probably no gap"), (0.5, "The cause of the gap is")])

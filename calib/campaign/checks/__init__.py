@@ -355,7 +355,6 @@ def pasted_rows(campaign: Campaign) -> Iterator[Note]:
     for run, counts in enumerate(both_sides(campaign, "counts_{}").T):
         log, counted = campaign.logs.of(run), counts.prod()
         measured = abs(counted * table[run, 0]) > 0.0
-        # the end of a closed loop, 0, was not measured
         if counted == 0.0 or not (measured or log or abs(counted * table[run, 1]) > 0.0):
             continue
         wheels = [log[name] for name in log if name.startswith(("t_s", "counts_")) and not measured]

@@ -158,7 +158,6 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     """Find loads that no rolling wheel has, or beyond the permitted one."""
     loads, permitted = checks.both_sides(campaign, "load_{}_N"), campaign.vehicle.max_wheel_load_N
     if permitted == Vehicle().max_wheel_load_N and not checks.stated(campaign, "vehicle.mass_kg"):
-        # of a vehicle that nobody described
         if (most := float(np.nanmax(loads, initial=0.0))) > permitted:
             text = f"loads of up to {most:.5g} N are more than the {permitted:g} N that nobody stated; give your own"
             yield checks.setting_note("vehicle.max_wheel_load_N", text, "excess_load")
@@ -268,8 +267,8 @@ def reference_load(campaign: Campaign) -> Iterator[Note]:
     usual = np.array([campaign.vehicle.unladen_load_N, loads.mean(), *np.unique(loads)])
     if np.abs(usual - found).min() > _SAME_LOAD * found:
         text = f"""found {found:g} N; expected the load of the empty vehicle ({usual[0]:.4g} N), one that was driven
-            ({loads.min():.4g} to {loads.max():.4g} N) or their mean; radii are stated at this load, and differ from
-            those stated at another by the slope times the difference; check the value"""
+            ({loads.min():.4g} to {loads.max():.4g} N) or their mean, since radii are stated at it; check the
+            value"""
         yield checks.setting_note("model.reference_load_N", text, "reference_load", "info")
 
 

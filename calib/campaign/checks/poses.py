@@ -22,8 +22,8 @@ _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
 _OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0
 #: scatter and stated uncertainty agree within this factor
 _OVERSTATED: Final = 4.0
-#: distance and end pose scatter against each other by more than stated: beyond 1.41 times, where start and end are
-#: measured each, and by so many standard deviations of the sum of squares
+#: distance and end pose scatter by more than stated: beyond 1.41 times, where start and end are measured each, and by
+#: so many standard deviations of the sum of squares
 _UNDERSTATED, _UNDERSTATED_SIGMAS = 1.5, 6.0
 #: straight runs end ahead of their start within this angle
 _MOST_BEARING_RAD: Final = 0.3
@@ -298,9 +298,7 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
     good = np.isfinite(away) & np.isfinite(distance) & (distance > 0)
     if good.sum() >= LEAST_RUNS:
         far = good & (away > 3 * distance + 1)
-        # no run ends farther away than it was driven
         beyond = good & (away > 1.1 * distance + 0.5)
-        # a corridor's end lies where the rangefinder says
         straight = good & np.isfinite(measured) & (np.abs(y) < 0.2 * np.abs(x))
         ratio = float(np.median(away[straight] / distance[straight])) if straight.sum() >= LEAST_RUNS else 1.0
         expected = "the distance"

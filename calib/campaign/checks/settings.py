@@ -13,9 +13,10 @@ from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, withou
 from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
 #: a worn wheel is a per cent off nominal; both further off to one side are a setting, and further still another wheel
-#: (a published robot rolls 6 % short)
 FAR_FROM_NOMINAL: Final = 0.012
 MOST_FAR: Final = 0.05
+#: wheels that carry what differs by more than this share of both differ by rubber, too
+UNLIKE_LOADS: Final = 0.1
 #: a clock in other units makes a log so many times faster or slower
 CLOCK_FACTORS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 #: a campaign's runs are within this factor of the usual speed
@@ -57,6 +58,15 @@ def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
                 nominal radius"""
             yield setting_note("encoder and vehicle", text, "count_scale" if radii is ratios else "counts_per_rev")
             return
+    left_N, right_N = checks.both_sides(campaign, "load_{}_N")
+    level = np.isfinite(ratios).all(axis=0) & ~(np.abs(left_N - right_N) > UNLIKE_LOADS * (left_N + right_N))
+    if level.sum() < LEAST_RUNS:
+        return
+    apart = [float(np.median((one / other)[level])) - 1.0 for one, other in (ratios, ratios * over_model)]
+    if min(map(abs, apart)) > FAR_FROM_NOMINAL:
+        text = f"""the left wheel rolls as if its radius were {100 * apart[0]:+.2g} % off the right one's; expected
+            {100 * FAR_FROM_NOMINAL:.2g} % at most; check counts_per_rev of each, and whether an encoder loses counts"""
+        yield setting_note("encoder and vehicle", text, "unlike_wheels")
 
 
 def _over_model(campaign: Campaign, side: str) -> FloatArray:
@@ -322,7 +332,6 @@ _OUTLIER_SPREADS: Final = 6.0
 def far_from_line(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose radius lies far from the line by load of their kind."""
     for side in SIDES:
-        # the sign of counts is found by itself
         ratio, load = np.abs(raw_radius_ratio(campaign, side)), campaign.runs.number(f"load_{side}_N")
         load = load if np.isfinite(load).any() else np.zeros(len(load))
         ratio = np.where(np.abs(ratio - 1) < 0.15, ratio, np.nan)

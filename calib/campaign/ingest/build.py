@@ -180,7 +180,6 @@ def _run_table(path: Path, work: Ingestion, *, named: bool = False) -> RawTable 
     if named and not names_runs(raw, work.mapping):
         return None
     mapped = any(line.column for line in work.mapping.table.columns.values())
-    # of several files as file:column
     sources = [line.column for line in work.mapping.log.columns.values()]
     log_columns = {*sources, *(name.partition(":")[2] for name in sources)} - {""} or {"t_s"}
     if not mapped and not names_runs(raw, work.mapping) and log_columns & set(raw.columns):
@@ -229,7 +228,6 @@ def _runs_of_sheets(path: Path, work: Ingestion) -> RunTable:
         ]
     runs = stacked(tables)
     numbered = runs.run_id.tolist() == named and all(name.isdecimal() for name in named)
-    # drift and wear are judged in the order driven
     return runs.select(np.argsort([int(name) for name in named], kind="stable")) if numbered else runs
 
 

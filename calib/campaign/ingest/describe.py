@@ -71,7 +71,6 @@ class Description:
         sources = " ".join(f"'{source}'" if re.search(r"\s", source) else source for source in self.sources)
         lines += wrapped(f"calib ingest {sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
-        # logs alike are described once
         apart = any(not file.alike(self.files[0]) for file in self.files)
         groups = grouped(
             ((apart and file is self.table, *(one.name for one in file.columns)), file) for file in self.files
@@ -143,7 +142,6 @@ def _run_table(files: Sequence[FileContents]) -> FileContents | None:
         if not file.recording and named and score > best_score:
             best, best_score = file, score
     if best is None:
-        # logs have a clock
         others = [file for file in files if not (file.recording or has_clock(file))]
         worded = [one for one in others if any(column.kind in {"text", "time"} for column in one.columns)]
         if len(worded) == 1 and (len(files) == 1 or any(map(has_clock, files))):
@@ -178,7 +176,6 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
 
 
 def _tells_runs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
-    # counts laps or runs, many rows each
     few = len(logs) == 1 and column.whole and column.step == 1.0 and 0 < column.span < logs[0].n_rows / 20
     return few and guessed_table_column(column.name) == "run_id"
 
@@ -202,7 +199,6 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
     if bits:
         others["counts_per_rev"] += (f"wrap_bits = {bits}   # found in the jumps of the counters",)
     lines: list[str] = []
-    # what only the laboratory knows
     for section in ("vehicle", "encoder", "rangefinder"):
         remark = "" if lines else "   # state what you know; keys omitted are marked as assumed"
         lines += ["", f"[{section}]{remark}"]

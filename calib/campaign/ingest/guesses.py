@@ -83,7 +83,6 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
     stem, unit = split_suffix(spelled(in_words))
     before, inside = bracketed(in_words)
     if unit is None and inside is not None:
-        # a side, an unknown unit, or a counter's
         parts = _names()["parts"]
         is_side = re.fullmatch(f"{parts['left']}|{parts['right']}", plain_text(inside))
         stem = f"{before}_{inside}" if is_side else before
@@ -132,7 +131,6 @@ def reading_of(name: str) -> tuple[str, str] | None:
 
 def guessed_log_column(name: str) -> str | None:
     """Return the log's column that a name may mean, or None; of ``stream:column`` the last part counts first."""
-    # a unit in brackets may hold a slash
     parts = re.split(r"[:/.]*[:/](?![^\[(]*[\])])", name)
     last = re.sub(r"^(position|velocity|effort)\.", "", parts[-1])
     return _guessed_in_log(last) or _guessed_in_log("_".join(parts).strip("_"))
@@ -175,10 +173,8 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
         if target.startswith(("distance_", "range_", "load_", "ref_")) and re.search(not_measured, stem):
             continue
         if target.startswith("load_") and unit is None and not re.search(f"las|loa|^f|(^|_){force}(_|$)", stem):
-            # a side alone is a wheel of any kind
             continue
         if unit is None and stem in {"t", "d"} and section == "table":
-            # a letter alone says little
             continue
         if unit is None or (target.startswith("counts_") and "mps" not in SUFFIXES[unit]) or unit in units_for(target):
             return target
@@ -246,7 +242,6 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
         if _JUMP * turn < span <= ONE_TURN * turn and jumps.any() and steady:
             return words
     # what moves goes on: a counter's steps are alike from one to the next, but where it starts again; increments' are
-    # not, or they go up and down about a level
     away = np.abs(values[1:] - values[0]) > _AWAY * span
     turns = steps[away & (steps != 0)]
     level = abs(values[-1] - values[0]) < 0.1 * _AWAY * span and away.mean() > 0.5

@@ -195,7 +195,6 @@ def _unwrapped(
     streams = []
     for stream in recording.streams:
         columns = _with_heading(stream.columns, lines, shown, border)
-        # what is interpolated goes on
         for name in set(kinds) & set(columns) if stream is not base else ():
             kind, turns, _ = kinds[name]
             if kind == "angle":

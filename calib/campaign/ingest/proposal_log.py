@@ -94,7 +94,6 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
 
 def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnContents]:
     widths = [[one.columns[at].wrap_bits for one in alike] for at in range(len(log.columns))]
-    # a heading may pass its half turn in one file alone
     turns = [any(BEHAVIOURS.get(one.columns[at].does) == "deg" for one in alike) for at in range(len(log.columns))]
     return [
         replace(c, wrap_bits=next(filter(None, w), None), unit=c.unit or "deg" * turned)
@@ -300,7 +299,6 @@ def _turns(column: ColumnContents) -> bool:
 
 
 def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
-    # two counters, by overflows or whole steps
     rising = [column for column in columns if column.does == guesses.RISES]
     kinds = {
         "overflows": [column for column in columns if column.whole and column.wrap_bits],

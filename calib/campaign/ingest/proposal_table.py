@@ -76,7 +76,6 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
         ) and not letters
         name = "direction" if is_direction else targets[column.name]
         if name == "ref_theta_rad" and column.kind == "text" and len(directions) == 2:
-            # a heading in words: E and W, north and south
             name = "direction"
         words = column.kind == "text" and not any(map(is_number, column.texts))
         if name == "distance_m" and words and "kind" not in targets.values():
@@ -240,7 +239,6 @@ def _column_line(column: ColumnContents, name: str, further: dict[str, object] |
 
 
 def _may_be(target: str, column: ColumnContents, n_rows: int = 0) -> bool:
-    # numbers that begin again name no runs
     if target == "run_id" and column.kind == "number" and column.span + 1 < n_rows:
         return False
     if column.kind == "empty" or (target == "session" and column.form.startswith("times of day")):
@@ -252,7 +250,6 @@ def _lookup_lines(table: FileContents, named: set[str]) -> list[str]:
     lines = []
     for sheet, columns in table.others.items():
         pairs = ((by, key) for by in table.columns for key in columns if _same_labels(by, key))
-        # alike sheets hold runs, but for those of a wheel
         if (sheet in table.alike_sheets and not _sheets_of_sides(table)) or (pair := next(pairs, None)) is None:
             continue
         by, key = pair
@@ -359,7 +356,6 @@ def name_pattern(stems: Sequence[str]) -> str | None:
         if at == best:
             out += f"{{n:{widths.pop():02}}}" if len(widths) == 1 and next(iter(widths)) > 1 else "{n}"
         else:
-            # the next log's stamp may begin otherwise
             text = commonprefix(cells)  # noqa: RUF071 - of texts, not of paths
             out += cells[0] if len(set(cells)) == 1 else "*" if at % 2 else f"{text}*"
     return out

@@ -157,7 +157,6 @@ def mapped_runs(raw: RawTable, mapping: LabMapping, settings: Campaign, shown: s
             factors[recognise(line.target(name), TABLE_COLUMNS).name] = factor
     used = {name for line in lines.values() for name in line.sources}
     for name, cells in raw.columns.items():
-        # a column in use is not taken again under its own name
         if name not in used and recognise(name, TABLE_COLUMNS).name not in lines:
             columns.setdefault(name, cells)
     for name, line in lines.items():

@@ -225,7 +225,6 @@ def from_start(columns: Mapping[str, FloatArray], *, poses: bool, distance: bool
     whether to change these.
     """
     out = dict(columns)
-    # samples before the wheels turn
     before = max(1, int(np.argmax(moving(columns["t_s"], _wheels(columns)))))
 
     def start(values: FloatArray) -> float:

@@ -146,7 +146,6 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
     if delimiter != usual:
         header = find_header(_split_cells(lines, delimiter))
     if header is None and layout.lab:
-        # beneath remarks
         return delimiter, next((at for at, line in enumerate(lines) if line.strip()), 0)
     return (delimiter, header) if header else (usual, 0)
 
@@ -296,7 +295,6 @@ def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
     except UnicodeError:
         if encoding:
             raise BadFileError(shown, "broken UTF-16 text", "whole characters", "export the file again") from None
-        # within words no superscripts
         central = re.search(rb"[A-Za-z][\xb3\xb9\xbf\x9a-\x9f][a-z]", data) is not None
         data = data.decode("cp1250" if central else "latin-1", errors="replace").encode("utf-8")
         name = "Windows-1250" if central else "Latin-1"

@@ -211,7 +211,6 @@ def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
     def count(element: re.Pattern[bytes], parts: Sequence[zipfile.ZipInfo]) -> int:
         return sum(len(element.findall(block)) for entry in parts for block in _blocks(archive, entry))
 
-    # a part may be listed as many sheets
     check(max(len(sheets), count(_LISTED, books)), errors.SHEETS, what="sheets", remedy="keep the sheet with the table")
     size = sum(entry.file_size for entry in others if entry not in (*sheets, *texts))
     check(size, _OTHER_BYTES, what="bytes of styles and the like")

@@ -178,7 +178,6 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
     pairs = [(pair.left_N, pair.right_N) for pair in options.loads]
     if not pairs:
         low, high = min(law.load_min_N for law in sides.values()), max(law.load_max_N for law in sides.values())
-        # valid ends, rounded between them
         between = np.round(np.linspace(low, high, ROWS)[1:-1], LOAD_DECIMALS)
         pairs = [(float(load), float(load)) for load in np.unique([low, *between, high])]
     columns = dict(zip(sides, zip(*pairs, strict=True), strict=True))
@@ -222,8 +221,8 @@ def _columns_of(law: WheelLaw, used: FloatArray, side: str, shown: BoolArray) ->
 #: parameters that are the track, or make it
 TRACKS: Final = ("track_m", "half_length_plus_half_width_m")
 _MECANUM: Final = "mecanum_drive_controller"
-#: drive -> its controllers. A tricycle's free rear wheels are read as a differential drive's; which of the two
-#: tricycle controllers applies depends on which wheels have the motors
+#: drive -> its controllers. A tricycle's free rear wheels are read as a differential drive's; which tricycle controller
+#: applies depends on which wheels have the motors
 OF_DRIVE: Final[dict[str, tuple[str, ...]]] = {
     "tricycle": ("diff_drive_controller", "tricycle_controller", "tricycle_steering_controller"),
     "differential": ("diff_drive_controller",),

@@ -29,8 +29,8 @@ from calib.gap.inference.marginal_likelihood import FLOOR_DOF, Nuisance
 from calib.gap.observations import Channel
 from calib.types import FloatArray, few_digits
 
-#: a cause below this signal and this share of a larger one's signal, whose form may err by so much of its size
-#: (`FORM_ERROR`), cannot be told from that error; radii and track have no form that errs
+#: a cause below this signal and this share of a larger one's, whose form may err by so much of its size (`FORM_ERROR`),
+#: may be that error; radii and track have no form that errs
 WEAK_SIGNAL: Final = 10.0
 #: places and covariates named of it
 MOST_PLACES: Final = 3

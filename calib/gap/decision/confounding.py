@@ -32,9 +32,8 @@ WEIGHED_PROBABILITY: Final = 0.01
 Distances = tuple[tuple[str, ...], dict[str, float]]
 #: smallest probability that is listed
 LISTED_PROBABILITY: Final = 1e-4
-#: probability by the model, and the share of such statements that held: a monotone map learnt by
-#: `tests/challenge/learn_map.py` on named causes of 152 development cases, none scored: the first 120 of the
-#: development seeds and 32 crowded ones
+#: probability by the model, and the share of such statements that held: a monotone map of
+#: `tests/challenge/learn_map.py`, learnt on named causes of 152 development cases, none scored
 TABLE: Final = (
     (0.0, 0.50, 0.65, 0.75, 0.85, 0.95, 0.99, 0.995, 1.0),
     (0.0, 0.37, 0.40, 0.58, 0.65, 0.83, 0.93, 0.95, 0.96),
@@ -151,7 +150,6 @@ def _absorbing(evidence: Evidence, contribution: FloatArray, within: float) -> d
 
 def _undetected(evidence: Evidence, off: Collection[str]) -> FloatArray:
     columns = evidence.per_unit @ DIRECTIONS.T
-    # what is not off may be off by what does not show
     limits = SEPARATION_SD / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
     return np.asarray(columns * np.where([name in off for name in NAMES], CALIBRATION_SD[0], limits))
 
@@ -164,7 +162,6 @@ def _as_likely(evidence: Evidence, effect: str) -> list[str]:
     alternatives: list[str] = []
     for model, p in probability.items():
         instead = set(model) - others
-        # effects as probable together are no alternatives
         together = probability.get(tuple(sorted({*best, *instead})), 0.0)
         if p > max(least, together) and len(model) == len(best) and others <= set(model) and effect not in model:
             alternatives += instead

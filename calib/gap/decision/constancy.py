@@ -302,7 +302,6 @@ def _between_samples(evidence: Evidence, names: Collection[str]) -> dict[str, st
         return {}
     turn = turn_between_samples_rad(evidence.situation.campaign.included())[seen.run]
     turn /= np.sqrt(np.bincount(seen.run)[seen.run])
-    # as a heading that wanders moves the ends
     wander = np.diagonal(kernels(evidence.nominal)[_HEADING_WALK], axis1=1, axis2=2)
     reach = turn[:, None] ** 2 * wander / np.maximum(wander[:, 3:4], 1e-300) / evidence.noise.floor**2
     text = f"is within what the steering may do between two samples ({1e3 * turn.mean():.2g} mrad); log it more often"

@@ -16,7 +16,7 @@ from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, reach_of_noise, sentences
 from calib.gap.decision.constancy import SizeDifference, size_differences, unchecked, without_refuted
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Fix, NoiseSummary, Situation, VerdictKind
-from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, without_length
+from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, ranked, without_length
 from calib.gap.decision.kind import (
     NO_GAP_SHOWN,
     NOTHING_NAMED,
@@ -80,7 +80,6 @@ def decide(evidence: Evidence) -> Diagnosis:
     stated["unknown"] = max([stated["unknown"], *(cause.probability for cause in placed)])
     closure, situation = evidence.held_out.closure, evidence.situation
     gap_probability = confounding.gap_probability(evidence)
-    # off and excluded from the library: nothing explains it
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
     doubtful = doubted or bool(open_sizes) or _rather_not(causes, certain)
     kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubtful)
@@ -95,7 +94,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, found, fix)
         causes = [cause for cause in causes if is_named_beside(cause, fix, found)]
-    causes = sorted(causes, key=lambda cause: -cause.probability)
+    causes = ranked(causes)
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
         sentence="",
@@ -131,7 +130,6 @@ def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
         return []
     campaign = situation.campaign.included()
     notes, odd = [*implausible(campaign)], [note.run_id for note in loads_against_payload(campaign) if note.run_id]
-    # of most runs vehicle or payloads may be what is wrong
     if 0 < 2 * len(odd) < len(campaign.runs):
         text = "vehicle and payload ask for other loads; check unit and weighing"
         notes.append(Note("wrong", f"runs {listed(odd)}, load_left_N, load_right_N", text))
@@ -159,7 +157,6 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     said = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
     if diagnosis.kind in NOTHING_NAMED:
         first = _on_data(evidence.situation, blunder) or _single_runs(evidence) * (diagnosis.kind is VerdictKind.NO_GAP)
-        # a recording that alone is off is no sound one
         if diagnosis.kind is VerdictKind.NO_GAP and evidence.observations.windowed and evidence.situation.omitted:
             names = sentences.joined(evidence.situation.omitted, "and")
             first = (*first, f"{names} alone: look at reference, start, counts and steering, or exclude.")
@@ -190,7 +187,6 @@ def _on_data(situation: Situation, off: bool) -> tuple[str, ...]:
 def _single_runs(evidence: Evidence) -> tuple[str, ...]:
     seen, noise = evidence.observations, evidence.noise
     reach = float(reach_of_noise(noise.dof, int(seen.usable.sum())))
-    # their small weights do not make it usual
     runs = by_run(seen, noise.floor * np.sqrt(noise.weight)[:, None], evidence.held_out.before)
     far = enumerate(pairwise(abs(run.z) for run in runs), 1)
     number = max((k for k, (one, after) in far if one > max(reach, BAD_RUN_RATIO * after)), default=0)
@@ -216,14 +212,12 @@ def _kind(
 ) -> VerdictKind:
     large = {cause.effect for cause in causes if cause.share > SMALL_SHARE}
     improvement = evidence.held_out.improvement
-    # what leads held-out runs further off explains nothing
     if improvement is not None and improvement.improvement_ci95[1] < 0.0:
         causes = []
     off = misfit_of(evidence)
     if not evidence.noise.supported and off < BLUNDER_MISFIT:
         if is_shown(causes, evidence.held_out.improvement):
             return VerdictKind.PARTLY_EXPLAINED
-        # beyond all the noise is a gap
         if noise_bounded(evidence) and gap_probability >= 1.0 - FALSE_ALARM:
             return VerdictKind.UNKNOWN
     kind = kind_of(
@@ -239,7 +233,6 @@ def _kind(
         supported=evidence.noise.supported,
         misfit=off,
     )
-    # what held-out runs do not confirm is not explained
     unconfirmed = improvement is not None and improvement.improvement_ci95[0] <= 0.0
     return VerdictKind.PARTLY_EXPLAINED if unconfirmed and kind is VerdictKind.EXPLAINED else kind
 
@@ -247,7 +240,6 @@ def _kind(
 def _small(
     evidence: Evidence, causes: Sequence[Cause], probable: set[str], certain: Mapping[str, float]
 ) -> tuple[str, ...]:
-    # a simulator is run: no law of it is in error
     own = {name: certain[name] for name in evidence.named if evidence.effects[name].family is Family.SIMULATOR}
     small = naming.negligible(causes, confounding.with_alternatives(evidence, _families(evidence)) | own)
     others = [cause for cause in causes if cause.effect in probable.difference(small)]

@@ -151,7 +151,6 @@ def improbable(causes: Sequence[Cause], found: Finding) -> Cause | None:
 def _doubtful(found: Finding) -> Iterator[str]:
     if improbable(found.causes, found) is not None:
         listed = ", ".join(
-            # by itself, or with what looks like it
             f"{cause.effect}{'' if cause.probability >= 0.9 * found.probability(cause) else ' or what looks like it'} "
             f"{found.probability(cause):.2f}"
             for cause in found.causes
@@ -246,6 +245,11 @@ def holds_zero(cause: Cause) -> bool:
     """Return whether all intervals of a cause hold zero, a shift of its zero point aside."""
     own = [quantity.ci95 for quantity in cause.parameters.values() if not quantity.shift]
     return bool(own) and all(low <= 0.0 <= high for low, high in own)
+
+
+def ranked(causes: Iterable[Cause]) -> list[Cause]:
+    """Return causes, the likeliest first; of equally probable ones last those whose size may be zero."""
+    return sorted(causes, key=lambda cause: (-cause.probability, holds_zero(cause)))
 
 
 def harm(trials: Sequence[Trial]) -> Iterator[str]:

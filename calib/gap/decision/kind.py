@@ -32,7 +32,7 @@ from calib.gap.predict import Path, residuals
 from calib.types import few_digits
 
 #: share of the largest cause's that is a hundredth of its size: no law is known closer, and what it leaves looks like a
-#: small cause
+#: cause
 NEGLIGIBLE_SHARE: Final = 1e-4
 #: verdicts that name no cause
 NO_GAP_SHOWN: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNDECIDED})
@@ -96,7 +96,6 @@ def kind_of(
     """
     high = closure.ci95[1] if closure.ci95 else 1.0
     unexplained = unexplained_share is not None
-    # no noise takes runs so far off
     if not supported and misfit < BLUNDER_MISFIT:
         return VerdictKind.UNDECIDED
     if gap_probability < REPORTED_GAP_PROBABILITY and misfit < BLUNDER_MISFIT:

@@ -232,7 +232,6 @@ def _parted(found: Finding) -> tuple[list[Cause], dict[str, str], bool]:
     kinds = [kind for kind in (effect_class(cause.effect) for cause in causes) if kind.per_session]
     dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
     # what differs between runs acts as something else: a weaker cause may be a part of that, but nearly certain radii
-    # and track
     other = max((cause for cause in causes if cause.effect in differing), key=lambda cause: cause.signal, default=None)
     for cause in causes:
         sure = cause.effect in NAMES and found.probability(cause) >= CERTAIN_PROBABILITY

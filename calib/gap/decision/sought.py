@@ -45,8 +45,8 @@ PLACE_PASSES: Final = 8
 CLOSE: Final = 0.1
 #: labels of the forms of a place and of a delay
 PLAIN_LABELS: Final = ("", ReferenceLatency.OF_POSE)
-#: headings that agree with the counts within this share of their standard uncertainty, on so many runs of which one
-#: turns by so much, are the odometry's own
+#: headings that agree with the counts within this share of their standard uncertainty, on so many runs, one turning by
+#: so much, are the odometry's
 COPIED_SHARE: Final = 1e-6
 FEWEST_COPIED: Final = 4
 LEAST_TURN_RAD: Final = 1e-2

@@ -112,8 +112,8 @@ class Form:
     zero_within: tuple[float, float] = (-inf, inf)
     #: settings -> `perturbations` with these, for a form whose settings come from the runs
     at: Callable[[Mapping[str, float]], Perturbations] | None = None
-    #: whether `perturbations` takes everything per step from its path, which may then be that of some observations
-    #: (`Observations.here` selects from arrays of all); else arrays per step are held for a whole campaign at once
+    #: whether `perturbations` takes everything per step from its path, which may be that of some observations
+    #: (`Observations.here`); else arrays per step are held for a whole campaign
     by_parts: bool = False
     #: effects without one of which it does nothing, by id; empty where it acts by itself
     acts_through: tuple[str, ...] = ()
@@ -148,8 +148,8 @@ class Effect(ABC):
     title: ClassVar[str]  #: what it is, for people, in a few words that fit into "the gap is explained by ..."
     #: what to suspect where the fitted size is beyond what is plausible; a clause
     implausible: ClassVar[str] = "another cause that looks alike"
-    #: calibration effects that another zero point of this effect looks like (a temperature counted from 20 degrees
-    #: shifts the radii); a shift no larger than the effect is part of it
+    #: calibration effects that another zero point of this effect looks like (temperature from 20 degrees: the radii); a
+    #: shift no larger than the effect is part of it
     shifts: ClassVar[tuple[str, ...]] = ()
     #: whether it looks like another effect only where radii and track are off with it
     needs_calibration: ClassVar[bool] = False
@@ -227,7 +227,6 @@ def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, floa
 
     alike = [form for form in forms if form.label == label]
     alike = alike or [form for form in forms if form.label.partition(" above")[0] == label.partition(" above")[0]]
-    # of two readings these runs may have one
     parts = tuple(label.split(" and "))
     alike = alike or [form for form in forms if len(parts) > 1 and form.label.startswith(parts)]
     return min(alike, key=off, default=None)

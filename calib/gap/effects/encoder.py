@@ -160,7 +160,7 @@ BLUNDER_MISFIT: Final = 0.08
 #: and a correction is believed where it leaves less than this share of that
 BLUNDER_RESIDUAL_SHARE: Final = 0.2
 #: a run that ends off by more than this share of its length, so many times what all but so few do, has counts or a
-#: reference of another drive
+#: reference not its own
 BAD_RUN_MISFIT: Final = 0.2
 BAD_RUN_RATIO: Final = 3.0
 MOST_BAD_RUNS: Final = 0.25

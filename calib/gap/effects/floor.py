@@ -313,7 +313,6 @@ def _by_rolling(path: Path) -> list[Perturbation]:
 
 
 def _rolls_back(observations: Observations) -> BoolArray:
-    # on the spot one wheel rolls forward
     return np.asarray(np.maximum(observations.travel_left_m, observations.travel_right_m) < 0.0)
 
 

@@ -87,7 +87,6 @@ def sessions(observations: Observations) -> StrArray:
     lengths = np.diff(np.concatenate(([0], changes, [len(observations)])))
     if not len(changes) or lengths.min() < MIN_RUNS_PER_LOAD:
         return session
-    # windows of one run are one run
     runs = [len(np.unique(of)) for of in np.split(observations.run, changes)]
     at = observations.wheel_loads_N[:, np.concatenate(([0], changes))]
     apart = np.abs(at[:, :, None] - at[:, None, :]).max(axis=0) > same_load_N(observations)
@@ -280,8 +279,8 @@ def covariate_columns(observations: Observations) -> tuple[str, ...]:
 #: group of entry points under which packages offer classes of effects
 ENTRY_POINT_GROUP: Final = "calib.effects"
 
-#: what a declared effect acts on -> unit of its size per unit of the column, and the calibration that a shift of the
-#: column's zero looks like
+#: what a declared effect acts on -> unit of its size per unit of the column, and the calibration that a shift of its
+#: zero looks like
 ACTS_ON: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "left": ("1", ("radius_scale", "unequal_radii")),
     "right": ("1", ("radius_scale", "unequal_radii")),

@@ -134,7 +134,6 @@ class ReferenceLeverArm(Effect):
 
 def _off_course(path: Path, error: FloatArray, beside_m: complex = 0.0) -> Perturbation:
     c, sn = path.frame_turned
-    # the stated place turns with them
     moved = np.asarray(1j * complex(*path.s.sensor_m) * ((c + 1j * sn) * error[:, 1] - error[:, 0]), np.complex128)
     ways = zip(path.to_end_frame(moved.real, moved.imag), _read_at(path, beside_m), strict=True)
     along, lateral = (turned + read for turned, read in ways)

@@ -202,7 +202,6 @@ def as_simulated(observations: Observations, noise: FloatArray | float = 0.0) ->
     nominal = predict(observations)
     change = (observations.simulated - nominal.reading)[:, :4]
     if not np.isfinite(change[observations.usable[:, :4]]).all():
-        # some of it is judged against the model itself
         return observations
     change[:, 3] = (change[:, 3] + np.pi) % (2 * np.pi) - np.pi
     carried = WheelMotion(nominal, np.broadcast_to(noise, change.shape)).carried(np.nan_to_num(change), 1.0)

@@ -11,7 +11,7 @@ from calib.kinematics.blunders import still_steering, straight_reading_rad
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: an angle is judged beside an offset of its zero up to here: of 0.5 rad a play was named beside it, of 1.6 another
-#: cause altogether (Ackermann, 4 and 12 runs)
+#: cause altogether
 FARTHEST_STRAIGHT_RAD: Final = 0.35
 
 
@@ -265,8 +265,8 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
     return np.nan_to_num((angle - through[step, observations.unit]) * (play / wide))
 
 
-#: delays tried beside a short one, which moves along the tangent: on a corner's ramps of half a second the shape of
-#: 0.27 s scaled to 0.3 s is off by a tenth, its tangent by half
+#: delays tried beside a short one, which moves along the tangent: on a corner's ramps the shape of 0.27 s scaled to 0.3
+#: s is off by a tenth, its tangent by half
 DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
 
 

@@ -351,7 +351,6 @@ def _best_alternative(found: _Found, settle: _Settle, weigh: _Weigh) -> _Found:
     for other in others[:_SINGLE_STARTS]:
         here = local.with_current(other)
         linear, moved = here.evidence(), settle(here, fitted)
-        # about its own path another form of it may be better
         for _ in range(_MAX_FORM_CHANGES):
             if moved is None:
                 break

@@ -179,7 +179,6 @@ def weigh_subsets(
     def of_subset(subset: tuple[int, ...]) -> float:
         if not subset:
             return weight([], 1.0)
-        # one scale for all that is off, chosen by size
         scale = float(np.clip(np.sqrt(np.mean(times[[*subset]] ** 2)), 0.1, 10.0))
         return weight([*subset], scale) + log_prior_of(len(subset)) - SCALE_CHOICE_COST
 

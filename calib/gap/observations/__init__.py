@@ -53,7 +53,7 @@ KEPT_STEPS: Final = 2**20
 #: one window follows another that ended within this: rounding of a log's times
 SAME_TIME_S: Final = 1e-6
 #: standard uncertainty of curvature by whole counts, over that of a turn about one track: effects that grow with it are
-#: then good to a fiftieth in the tightest turns
+#: good to a fiftieth in the tightest turns
 CURVATURE_ERROR_PER_TRACK: Final = 0.02
 #: smoothing over more steps would join one turn with the next
 MOST_SMOOTHED_STEPS: Final = 10

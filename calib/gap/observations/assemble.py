@@ -248,7 +248,6 @@ def _carried_N(units: Sequence[Observation], steps: WheelTravel, numbers: dict[s
         return None
     found = []
     for name, way_m in zip(WHEEL_LOADS, (steps.left_m, steps.right_m), strict=True):
-        # a vehicle that stands has its mean in time
         logged, weight = _of_steps(units, name, _ends), np.maximum(np.abs(way_m), 1e-12)
         found.append(np.where(np.isnan(logged), np.repeat(numbers[name], np.diff(steps.starts)), logged))
         numbers[name] = steps.total(weight * found[-1]) / steps.total(weight)

@@ -136,7 +136,6 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
     stands_in = without_rear_wheels(campaign)
     if stands_in:
         if odometry_source(campaign) == "front":
-            # no column gives the load of a front wheel
             model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         elif odometry_source(campaign) == "wheels":
             # the axle that turns as the wheels of both sides do, also where their radii differ
@@ -251,7 +250,6 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
             + "; ".join(["nothing can be said of a gap; measure distance_m or ref_x_m, ref_y_m, ref_theta_rad", *notes])
         )
     observations = assemble(setup, units, notes)
-    # an effect is asked of where a reading would show it
     read: list[bool] = np.asarray(observations.usable.any(axis=1)).tolist()
     return observations if all(read) or not any(read) else assemble(setup, list(compress(units, read)), notes)
 
@@ -302,7 +300,6 @@ def _with_log_pose(unit: Observation, setup: Setup) -> Observation:
     rows = log_rows(log)
     inside = rows[(rows >= (reference.rows[0] if reference.from_first else 0)) & (rows <= reference.rows[-1])]
     if len(inside) < len(rows) and _rolled_outside_m(log, rows, inside, setup) > END_TOLERANCE_M:
-        # only what the reference saw can be compared
         part = observation_from_log(unit.run, log, inside, setup.per_rad)
         unit = replace(part, measured=np.full(4, np.nan))
     if reference.from_first:

@@ -89,7 +89,6 @@ def sizes_on(offered: Mapping[str, Sequence[Form]], fitted: Fitted) -> list[tupl
     sizes = []
     for form, theta, _ in fitted.each():
         forms = offered.get(form.effect, ())
-        # further routes may part what was one form
         alike = [each for each in forms if len(each.parameters) == len(form.parameters)]
         if here := matching_form(forms, form.label, form.settings) or next(iter(alike), None):
             known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}

@@ -82,9 +82,8 @@ def diagnose_simulator(
 ) -> SimulatorDiagnosis:
     """Diagnose the gap between what was measured and the user's simulator.
 
-    For parameters see `calib.api.results.diagnose`; `exclude`
-    takes ``simulator:NAME`` too. Raises CalibError where the simulator fails, hangs, writes nonsense, or predicts
-    nothing measured.
+    For parameters see `calib.api.results.diagnose`; `exclude` takes ``simulator:NAME`` too. Raises CalibError where the
+    simulator fails, hangs, writes nonsense, or predicts nothing measured.
     """
     if campaign.root is None or not (campaign.root / "campaign.toml").is_file():
         raise BadInputError(
@@ -206,7 +205,10 @@ def _candidates(
     nominal = predict(observations)
     own = [effect for effect in differences.effects(nominal) if effect.id not in exclude]
     idle = [effect.parameter.name for effect in own if not effect.forms(observations)]
-    stands_for = {each.effect for cause, each in differences.by_cause.items() if cause not in exclude}
+    # what may only be of the other sign than the gap asks for stands for nothing
+    gap, signed = _scaled_gap(nominal), [(e, form) for e in own if e.parameter.sign for form in e.forms(observations)]
+    out = {e.id for e, form in signed if e.parameter.sign * (_scaled(nominal, [form])[:, 0] @ gap) < 0.0}.union(exclude)
+    stands_for = {each.effect for cause, each in differences.by_cause.items() if cause not in out}
     every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
     rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
     noisy = differences.repeats > 1
@@ -217,8 +219,7 @@ def _candidates(
         if isinstance(rival, HeldCalibration) and len(theirs.get("", [])) == 1:
             rivals[number] = HeldCalibration(rival.effect, -theirs[""][0])
         elif rival.id not in spanned and any(theirs.values()):
-            done = [label for label, ways in theirs.items() if len(ways) == 2]
-            rivals[number] = simulator.without_forms(rival, done)
+            rivals[number] = simulator.without_forms(rival, [label for label, ways in theirs.items() if len(ways) == 2])
     notes = []
     if idle:
         notes.append(f"no run of the simulator changes with {', '.join(idle)}: check that it reads them")
@@ -256,8 +257,7 @@ def _spanned(
     parameters = [parameter for form in offered for parameter in form.parameters]
     columns = columns * np.array([p.largest / p.typical for p in parameters])
     sign, spanned = np.array([p.sign for p in parameters]), dict[str, dict[str, list[int]]]()
-    usable = nominal.s.usable[:, :4]
-    gap = residuals(nominal, nominal)[:, :4][usable] / nominal.s.sigma[usable]
+    gap = _scaled_gap(nominal)
     for form, aim in zip(targets, aims.T, strict=True):
         share = SPANNED_SHARE
         if not noisy and not isinstance(next(rival for rival in rivals if rival.id == form.effect), HeldCalibration):
@@ -267,6 +267,11 @@ def _spanned(
         ways = [way for way in (1, -1) if np.linalg.norm(left_by(columns, way * aim, sign)) < limit]
         spanned.setdefault(form.effect, {})[form.label] = ways
     return spanned
+
+
+def _scaled_gap(path: Path) -> FloatArray:
+    usable = path.s.usable[:, :4]
+    return residuals(path, path)[:, :4][usable] / path.s.sigma[usable]
 
 
 def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:
@@ -313,7 +318,9 @@ def _rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorF
             run.append(rival(whole, run_alone(diagnosis, differences, whole, limit=PROMISED * limit)))
     if run and len(named) < len(verdict):
         n_sizes = sum(len(size) for _, size, _ in diagnosis.fitted.each())
-        run.append(_Rival(verdict, diagnosis.fitted.chi_square + n_sizes * log(n_rows), named, None))
+        # as run with what the library takes, where it was: changes about nominal bend
+        square = diagnosis.fitted.chi_square if found is None else found.square
+        run.append(_Rival(verdict, square + n_sizes * log(n_rows), named, None))
     run.sort(key=attrgetter("score"))
     kept: list[_Rival] = []
     for each in run:
@@ -336,7 +343,8 @@ def _neighbours(
         others = [each for each in inside if each != number]
         for instead in ([], *([each] for each in range(len(names)) if each not in inside)):
             some = [*others, *instead]
-            if some and square_left(columns[:, some], gap, sign[some]) <= most:
+            # one fewer is run in any case
+            if some and (not instead or square_left(columns[:, some], gap, sign[some]) <= most):
                 yield {names[each]: differences.by_cause[names[each]] for each in some}
 
 

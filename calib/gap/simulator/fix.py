@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.errors import RefusedError
 from calib.gap.decision import Trial, trials
+from calib.gap.decision.causes import limited_to_even
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
 from calib.gap.decision.fix import harm
 from calib.gap.decision.held_out import Closure, closure_of
@@ -15,13 +16,13 @@ from calib.gap.decision.kind import NO_GAP_SHOWN, with_left
 from calib.gap.decision.sentences import joined, sentence
 from calib.gap.effects import Form
 from calib.gap.effects.simulator import SIMULATOR_PREFIX, in_end_frame
-from calib.gap.inference import ADEQUATE_CLOSURE
+from calib.gap.inference import ADEQUATE_CLOSURE, HALF_CLOSURE
 from calib.gap.inference.fit import Fitted, hypothesis_path, signature_columns, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
 from calib.gap.predict import Path, residuals
 from calib.gap.simulator import Declared
-from calib.gap.simulator.runner import Differences, Job, averaged, difference
+from calib.gap.simulator.runner import NOT_NOTHING, Differences, Job, averaged, difference
 from calib.types import FloatArray, IntArray, few_digits
 
 #: most runs with a fix, a secant step each
@@ -82,6 +83,9 @@ def fixed(
     theirs = _without(diagnosis.fitted, named)
     own = closure_of(nominal, diagnosis.noise, theirs, theirs - (before - after), rng).closure
     closes, fits = (each.ci95 is not None and each.ci95[0] > ADEQUATE_CLOSURE for each in (closure, own))
+    # what no run confirms may be how the simulator errs from one value to the next
+    denied = named if own.ci95 is None or own.ci95[1] < HALF_CLOSURE else ()
+    causes = limited_to_even([_moved(cause, named, found) for cause in diagnosis.causes], denied)
     kind = diagnosis.kind if closes and not closure.leaves_part else VerdictKind.PARTLY_EXPLAINED
     ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, after)
     worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran)) or tuple(
@@ -93,12 +97,18 @@ def fixed(
         low, high = (100.0 * max(share, 0.0) for share in own.ci95 or (0.0, 0.0))
         wanted = f"where {100 * ADEQUATE_CLOSURE:.0f} % are to be certain"
         why = (*why, f"your simulator, run again with it, closes {low:.0f} to {high:.0f} % of the gap, {wanted}; {FAR}")
+        why += tuple(
+            f"{each.name} of your simulator stands at its largest: raise that where more is possible"
+            for each in named.values()
+            if abs(found.deviation[each.name]) >= each.largest
+        )
     elif not found.settled:
         why = (*why, f"after {MOST_RERUNS} runs with it your simulator still asks for another value; {FAR}")
     diagnosis = replace(
         diagnosis,
         kind=kind,
-        causes=tuple(_moved(cause, named, found) for cause in diagnosis.causes),
+        causes=tuple(causes),
+        probabilities={**diagnosis.probabilities, **{cause.effect: cause.probability for cause in causes}},
         closure=closure,
         evidence=replace(diagnosis.evidence, held_out=held_out),
         fix=replace(diagnosis.fix, parameters=values, recommended=recommended, why=why, transfer=ran),
@@ -178,11 +188,8 @@ def _followed(
     def asked(table: FloatArray, slope: FloatArray) -> _Asked:
         return _Asked(diagnosis.noise, fitted.path, differences, left, table, slope, typical)
 
-    # none further off than is plausible: a simulator may fail there
-    far = np.array([each.largest for each in named.values()])
     now = asked(table, slope)
-    if trial is None:
-        trial = np.clip(at + now.correction, -far, far)
+    trial = _within(named, at + now.correction if trial is None else trial)
     for number in range(MOST_RERUNS):
         # one run from nominal shows what a step there does not
         if (now.converged or now.promised >= limit) and (number or start is not None):
@@ -195,16 +202,16 @@ def _followed(
         then = asked(new, steeper)
         if then.square < (ALIKE if then.converged and differences.repeats > 1 else 1.0) * now.square:
             at, table, slope, now = trial, new, steeper, then
-            trial = np.clip(at + now.correction, -far, far)
+            trial = _within(named, at + now.correction)
         elif then.converged:
             break
         elif len(names) == 1:
-            trial = 0.5 * (at + trial)
+            trial = _within(named, 0.5 * (at + trial))
         else:
             # half as far at most, where what that run showed sends it
             slope, reach = steeper, 0.5 * float(np.linalg.norm(scaled))
             now = asked(table, slope)
-            step = np.clip(at + now.correction, -far, far) - at
+            step = _within(named, at + now.correction) - at
             trial = at + step * min(1.0, reach / max(float(np.linalg.norm(step / typical)), 1e-12))
     return SimulatorFix(
         dict(zip(names, map(float, at), strict=True)),
@@ -215,6 +222,13 @@ def _followed(
         now.off < CONVERGED[2] or now.square < LACKING * int(fitted.path.s.usable.sum()),
         now.square,
     )
+
+
+def _within(named: Mapping[str, Declared], deviation: FloatArray) -> FloatArray:
+    # none further off than is plausible, nor a length at nothing: a simulator may fail there
+    nominal, far = np.array([(each.nominal, each.largest) for each in named.values()]).T
+    inside: FloatArray = np.clip(deviation, -far, far)
+    return np.where(inside == -nominal, NOT_NOTHING * inside, inside)
 
 
 def _without(fitted: Fitted, named: Mapping[str, Declared]) -> FloatArray:

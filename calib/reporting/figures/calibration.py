@@ -133,7 +133,6 @@ def path_deviation(radii: EffectiveRadii) -> Figure:
         excess = PPM * whole_period_excess(grid, value)
         chart.plot(grid, excess, color=shade, lw=0.9)
         chart.annotate(
-            # where lines run together names are held apart
             f"λ = {value:g} m", (grid[-1], float(excess[-1])), xytext=(3, 3 * (2 - number)),
             textcoords="offset points", fontsize=6,
             va="center", color=shade, annotation_clip=False,
@@ -352,7 +351,6 @@ def correlations(names: Sequence[str], covariance: FloatArray) -> Figure:
     std = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(std, std)
     size = len(names)
-    # slanted labels take their room below
     figure = canvas(min(0.58 * size + 1.2 + 0.1 * max(map(len, names)), 10.0), 12.5)
     axes = figure.subplots()
     axes.imshow(np.abs(correlation), cmap="Blues", vmin=0.0, vmax=1.6)

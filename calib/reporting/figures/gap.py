@@ -60,7 +60,6 @@ class GapArrays:
         c, sn = np.cos(nominal.frame), np.sin(nominal.frame)
         offset = np.column_stack((c * along - sn * lateral, sn * along + c * lateral))
         known, columns = bool(np.isfinite(offset).any()), covariate_values(observations).items()
-        # beside windows a whole recording has none
         ends = [None if posed or not observations.windowed else 1 for posed in usable[:, Channel.ALONG]]
         before, after, noise_level = (
             np.where(usable, part, np.nan) for part in (held_out.before, held_out.after, held_out.floor)

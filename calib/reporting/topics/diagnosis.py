@@ -35,6 +35,7 @@ TITLES: Final[Mapping[VerdictKind, tuple[str, str]]] = {
     VerdictKind.UNKNOWN: ("bad", "The cause of the gap is unknown"),
     VerdictKind.UNDECIDED: ("note", "These runs cannot show whether there is a gap"),
 }
+CORRECT_FIRST: Final = ("bad", "Correct this first")
 #: of a gap that is less probable than none
 IMPROBABLE_GAP: Final = ("note", "Probably no gap")
 
@@ -42,6 +43,8 @@ IMPROBABLE_GAP: Final = ("note", "Probably no gap")
 def verdict_notice(verdict: Diagnosis) -> Notice:
     """Return the verdict with its sentence."""
     level, title = IMPROBABLE_GAP if verdict.is_improbable else TITLES[verdict.kind]
+    if verdict.sentence.startswith(CORRECT_FIRST[1]):
+        level, title = CORRECT_FIRST
     return Notice(level, with_kind(title, verdict.kind), prose(verdict.sentence.removeprefix(title).lstrip(": ")))
 
 
@@ -225,7 +228,6 @@ def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
     def shown(key: str, decimals: int = 2) -> str:
         return f"{round(run[key], decimals):g}".replace("-", "−") if run.get(key) is not None else MISSING
 
-    # no hall keeps a temperature to a hundredth
     numbers = (shown("payload_kg"), shown("speed_mps"), shown("temperature_C", 1), shown("minutes_under_load"))
     return (f"{number}. {what}", *numbers, prose(str(run["why"])))
 

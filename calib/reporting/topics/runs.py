@@ -227,7 +227,6 @@ def after_check(report: CheckReport, columns: Iterable[str]) -> str:
     nothing = (one.code in _NEEDED and one.text.startswith(f"{used} run(s)") for one in report.suspicious)
     if report.verdict == "wrong" or any(nothing):
         return "check wrong"
-    # a law needs both wheels of an axle
     if report.found.distance_m is None or report.found.counts_left is None:
         return "check without distances"
     if {"ref_x_m", "ref_theta_rad", "gyro_z_radps", "loop"}.intersection(columns):

@@ -12,7 +12,7 @@ from calib.gap.decision import Trial
 from calib.gap.decision.causes import Finding, _means
 from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
-from calib.gap.decision.fix import alternatives, elsewhere, harmed, holds_zero, reasons
+from calib.gap.decision.fix import alternatives, elsewhere, harmed, holds_zero, ranked, reasons
 from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement
 from calib.gap.effects import Form, Parameter, always
 from calib.gap.effects.library import effect_class
@@ -38,6 +38,12 @@ def trial(growth_sd: float, value: str = "square_cw") -> Trial:
 def test_a_fix_that_helps_and_harms_nowhere_has_nothing_against_it() -> None:
     for improvement in (CLOSES, SMALL, replace(CLOSES, closed_ci95=(0.51, 0.7))):
         assert reasons(Finding([cause()], {"load_radius": 0.9}), improvement, [trial(-5.0), trial(1.0)]) == []
+
+
+def test_of_equally_probable_causes_one_whose_size_may_be_zero_does_not_lead() -> None:
+    large, sure = cause("track_width", -1.0, 8.0, 27.0), cause("reference_yaw", 1.0, 2.0, 17.0)
+    likely = replace(cause("wear", -1.0, 1.0), probability=0.95)
+    assert ranked([large, sure, likely]) == [likely, sure, large]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping
 from itertools import product
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 from unittest.mock import patch
 
 import numpy as np
@@ -13,8 +15,10 @@ import pytest
 
 from calib.campaign.read import read_campaign
 from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.simulator import diagnose as simulator_diagnosis
 from calib.gap.simulator import read_settings
 from calib.gap.simulator.diagnose import diagnose_simulator
+from calib.gap.simulator.fix import SimulatorFix
 from calib.gap.simulator.runner import Job, SimulatorRunner
 
 #: name -> nominal value, step, largest plausible deviation: motors' gains and time constants
@@ -132,3 +136,53 @@ def test_what_was_hidden_is_named_with_its_value_or_tied(tmp_path: Path, hidden:
             ((low, high),) = (c.parameters[name].ci95 for c in found.causes if c.effect == cause)
             assert abs(found.fix.parameters[name] - value) < SPREAD * (high - low) / (2 * 1.96)
     assert found.recommended
+
+
+def _fix(square: float, **deviation: float) -> SimulatorFix:
+    return SimulatorFix(deviation, np.zeros((100, 4)), {}, {}, {}, settled=True, square=square)
+
+
+def _verdict(*names: str, chi_square: float) -> Any:
+    """A verdict on a hundred readings whose fit, about nominal, leaves `chi_square`."""
+    usable = np.ones((100, 1), dtype=np.bool_)
+    each = [(SimpleNamespace(effect=name), np.ones(1), slice(0)) for name in names]
+    return SimpleNamespace(
+        causes=[SimpleNamespace(effect=name) for name in names],
+        nominal=SimpleNamespace(s=SimpleNamespace(usable=usable)),
+        noise=SimpleNamespace(dof=30.0),
+        fitted=SimpleNamespace(chi_square=chi_square, each=lambda: each),
+    )
+
+
+def test_what_bends_by_chance_is_no_evidence_for_an_effect_of_the_library() -> None:
+    """A parameter and what the library has like it, each a part of one size, fit changes about nominal better.
+
+    Run, the parameter alone leaves as little as run beside the effect, with a number fewer.
+    """
+    verdict, alone = _verdict("simulator:delay", "steering_delay", chi_square=90.0), {"simulator:delay": "delay"}
+    differences = SimpleNamespace(by_cause=alone, repeats=1)
+    with (
+        patch.object(simulator_diagnosis, "_most_able", lambda *_: iter([alone])),
+        patch.object(simulator_diagnosis, "run_alone", lambda *_, **__: _fix(101.0, delay=0.1)),
+        patch.object(simulator_diagnosis, "_neighbours", lambda *_: iter(())),
+    ):
+        (best,) = simulator_diagnosis._rivals_of(verdict, cast("Any", differences), _fix(101.0, delay=0.06))
+    assert best.names == {"simulator:delay"}
+
+
+def test_one_parameter_fewer_is_run_however_much_its_change_about_nominal_leaves() -> None:
+    """Of two that nearly do the same the path bends by more than either changes it."""
+    rng = np.random.default_rng(5)
+    columns = rng.standard_normal((100, 2))
+    forms = [SimpleNamespace(effect=f"simulator:{name}") for name in ("gain", "wheelbase")]
+    named = {form.effect: form.effect.removeprefix("simulator:") for form in forms}
+    best = simulator_diagnosis._Rival(frozenset(named), 0.0, cast("Any", named), _fix(90.0, gain=0.01, wheelbase=0.04))
+    # orthogonal to both: neither column alone, nor both, leaves less than all of it
+    gap = rng.standard_normal(100) * 1e3
+    with (
+        patch.object(simulator_diagnosis, "scaled_signatures", lambda _: (forms, np.zeros(2), columns, gap)),
+        patch.object(simulator_diagnosis, "_bend", lambda *_: 0.0),
+    ):
+        differences = SimpleNamespace(by_cause=named)
+        tried = [*simulator_diagnosis._neighbours(cast("Any", None), cast("Any", differences), best, 150.0)]
+    assert [set(some) for some in tried] == [{"simulator:wheelbase"}, {"simulator:gain"}]
