@@ -206,14 +206,19 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     whole |= len(more) >= _TO_ONE_SIDE and more.mean() in {0.0, 1.0}
     of = off if whole else known & (computed > 0.0).all(axis=0)
     ratios = (weighed / computed)[:, of]
-    alike = checks.stated(campaign, "vehicle.mass_kg") and not off.any() and of.sum() >= checks.LEAST_OF_A_LINE
-    spreads = (_LOAD_SPREADS * checks.robust_spread(ratio) for ratio in ratios)
-    if whole or (alike and (np.abs(np.median(ratios, axis=1) - 1.0) > np.maximum(_STATICS, [*spreads])).any()):
+    alike = False
+    if checks.stated(campaign, "vehicle.mass_kg") and of.sum() >= checks.LEAST_OF_A_LINE:
+        spreads = np.maximum(_STATICS, [_LOAD_SPREADS * checks.robust_spread(ratio) for ratio in ratios])[:, None]
+        middle = np.median(ratios, axis=1, keepdims=True)
+        # what is off as all others are is no single run's
+        of_all = (np.abs(ratios - middle) <= spreads)[:, off[of]].all()
+        alike = bool(of_all and (np.abs(middle - 1.0) > spreads).any())
+    if whole or alike:
         hint, code = _SWAPPED if swapped.sum() > checks.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
         left, right = np.median(ratios, axis=1)
         text = f"""in {ratios.shape[1]} runs ({checks.listed(runs.run_id[of])}) left and right loads are {left:.4g} and
             {right:.4g} times those of vehicle and payload; {hint}"""
-        yield checks.column_note(f"{_LOADS}, payload_kg", text, code, "suspicious" if whole else "info")
+        yield checks.column_note(f"{_LOADS}, payload_kg", text, code, "suspicious" if off.any() else "info")
         return
     for run in np.flatnonzero(off):
         hint, code = _SWAPPED if swapped[run] else _CONTRADICTED

@@ -10,6 +10,7 @@ import pytest
 
 from calib.campaign.checks.measurements import distance_span, implausible_loads, loads_against_payload
 from calib.campaign.model import Campaign
+from calib.campaign.read import loads_from_payload
 from tests.campaign.making import campaign, with_numbers
 
 
@@ -123,6 +124,21 @@ def test_loads_that_are_off_alike_are_told_once(left: float, right: float, off_N
     assert [note.level for note in found] == [level] * bool(level)
     assert not found or off_N or f"{left:.4g}"[:4] in found[0].text
     assert not any(note.run_id for note in found)
+
+
+def test_a_scale_that_reads_low_in_all_runs_is_no_fault_of_the_heaviest() -> None:
+    """Of payloads to one side the wheel beneath is off by more than statics may be, and by the same share as all."""
+    made = campaign(logs=False)
+    aside = with_numbers(made, payload_y_m=np.where(np.arange(len(made.runs)) % 7 == 3, 0.25, 0.02))
+    left, right = loads_from_payload(aside.vehicle, aside.runs)
+    low = with_numbers(aside, load_left_N=0.92 * left, load_right_N=0.92 * right)
+    (found,) = loads_against_payload(low)
+    assert (found.level, found.run_id) == ("suspicious", "")
+    assert "0.92 and 0.92 times" in found.text
+    # one of them weighed otherwise is its own fault
+    light = np.where(np.arange(len(left)) == 3, 0.7, 0.92)
+    alone = with_numbers(aside, load_left_N=light * left, load_right_N=light * right)
+    assert "r003" in {note.run_id for note in loads_against_payload(alone)}
 
 
 def test_loads_that_scatter_or_that_nobody_described_are_no_finding_of_all_runs() -> None:
