@@ -72,4 +72,4 @@ def test_lengths_that_no_bend_explains_end_in_plain_words(tmp_path: Path) -> Non
         assert found.verdict is not GeometryVerdict.CALIBRATED
         assert not found.faults
         said = " ".join(found.why)
-    assert re.search(r"lengths of straight runs alone: .* 'calib fit' .* end headings", said)
+    assert re.search(r"lengths of straight runs alone .* 'calib fit' .* end headings", said)

@@ -17,7 +17,8 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision import most_square
-from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
+from calib.gap.decision.confounding import any_probability
+from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.decision.fix import PLAN
 from calib.gap.decision.kind import NO_GAP_SHOWN
 from calib.gap.decision.sentences import joined
@@ -25,16 +26,17 @@ from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects import Effect, Form, simulator
 from calib.gap.effects.encoder import BLUNDER_MISFIT
 from calib.gap.effects.library import check_excluded, library
-from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter, in_end_frame
+from calib.gap.effects.simulator import SIMULATOR_PREFIX, HeldCalibration, SimulatorParameter
 from calib.gap.effects.steering import SteeringScale, SteeringZero
 from calib.gap.inference import LOG_EVIDENCE_WINDOW
-from calib.gap.inference.fit import signature_columns, whitened_rows
+from calib.gap.inference.fit import signature_columns
 from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import Path, predict, residuals
 from calib.gap.simulator import COLUMNS, Declared, SimulatorSettings, run_cache, written_wrong
 from calib.gap.simulator.fix import (
     SimulatorFix,
+    bend,
     fixed,
     iterated,
     left_by,
@@ -44,7 +46,7 @@ from calib.gap.simulator.fix import (
     square_left,
     without_parameter,
 )
-from calib.gap.simulator.runner import Differences, SimulatorRunner, difference, differences_of
+from calib.gap.simulator.runner import Differences, SimulatorRunner, differences_of
 from calib.types import FloatArray, Progress, silent
 
 #: most of a calibration effect that the simulator's parameters may miss and still replace it
@@ -137,7 +139,7 @@ def _confirmed(searched: _Search, differences: Differences, rng: np.random.Gener
     if diagnosis.kind in NO_GAP_SHOWN:
         return diagnosis
     rivals, unnamed = _rivals_of(diagnosis, differences, found), ""
-    if len(rivals) > 1 or any(each.names != frozenset(c.effect for c in diagnosis.causes) for each in rivals):
+    if rivals:
         if told := _told_by_runs(searched, diagnosis, differences, rivals):
             diagnosis, found = told
         else:
@@ -151,7 +153,6 @@ def _confirmed(searched: _Search, differences: Differences, rng: np.random.Gener
 def _told_by_runs(
     searched: _Search, first: Diagnosis, differences: Differences, rivals: Sequence[_Rival]
 ) -> tuple[Diagnosis, SimulatorFix] | None:
-    # None where no search names the parameters that were run
     best = next((each for each in rivals if each.fix is not None), None)
     if best is None or best.fix is None:
         return None
@@ -337,7 +338,7 @@ def _neighbours(
     forms, sign, columns, gap = scaled_signatures(diagnosis)
     names = [form.effect for form in forms]
     inside = [names.index(name) for name in best.named]
-    bent = max(_bend(diagnosis, differences, best.fix), BENT_SHARE * float(np.linalg.norm(gap)))
+    bent = max(bend(diagnosis, differences, best.fix), BENT_SHARE * float(np.linalg.norm(gap)))
     most = (sqrt(limit) + bent) ** 2
     for number in inside:
         others = [each for each in inside if each != number]
@@ -358,15 +359,6 @@ def _most_able(diagnosis: Diagnosis, differences: Differences) -> Iterator[dict[
             yield {forms[number].effect: differences.by_cause[forms[number].effect] for number in best}
 
 
-def _bend(diagnosis: Diagnosis, differences: Differences, fix: SimulatorFix) -> float:
-    # whitened, of a fix's run off its parameters' changes about nominal
-    change = difference(fix.table, differences.nominal)
-    straight = sum((differences.change[name] * size for name, size in fix.deviation.items()), np.zeros_like(change))
-    nominal = diagnosis.nominal
-    missed = in_end_frame(nominal, (change - straight)[differences.rows(nominal.s)])
-    return float(np.linalg.norm(whitened_rows(nominal, diagnosis.noise, missed[:, :, None])))
-
-
 def _as_rivals(diagnosis: Diagnosis, rivals: Sequence[_Rival]) -> Diagnosis:
     best = next(each for each in rivals if each.fix is not None)
     weights = [exp(0.5 * (rivals[0].score - each.score)) for each in rivals]
@@ -380,7 +372,8 @@ def _as_rivals(diagnosis: Diagnosis, rivals: Sequence[_Rival]) -> Diagnosis:
         name: sum(weight for each, weight in zip(rivals, weights, strict=True) if name in each.names) / sum(weights)
         for name in best.names
     }
-    causes = tuple(replace(c, probability=c.probability * shares.get(c.effect, 1.0)) for c in diagnosis.causes)
+    stated = {c.effect: _together(diagnosis, groups.get(c.effect, ()), c) for c in diagnosis.causes}
+    causes = tuple(replace(c, probability=stated[c.effect] * shares.get(c.effect, 1.0)) for c in diagnosis.causes)
     tied = len(groups) > len(diagnosis.groups) and diagnosis.kind is VerdictKind.EXPLAINED
     return replace(
         diagnosis,
@@ -392,9 +385,15 @@ def _as_rivals(diagnosis: Diagnosis, rivals: Sequence[_Rival]) -> Diagnosis:
     )
 
 
+def _together(diagnosis: Diagnosis, group: Sequence[str], cause: Cause) -> float:
+    # runs alone share it between parameters; an effect of the library, which no run shows, has an even share
+    assert diagnosis.evidence is not None
+    unshown = sum(not name.startswith(SIMULATOR_PREFIX) for name in group)
+    return any_probability(diagnosis.evidence, group) / (1 + unshown) if group else cause.probability
+
+
 def _moves(name: str, best: _Rival, other: _Rival) -> bool:
     if best.fix is None or other.fix is None:
         return False
-    parameter = best.named[name].name
-    size = best.fix.deviation[parameter]
-    return abs(other.fix.deviation[parameter] - size) > MOVED * abs(size)
+    size, there = (fix.deviation[best.named[name].name] for fix in (best.fix, other.fix))
+    return abs(there - size) > MOVED * abs(size)

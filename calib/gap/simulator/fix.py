@@ -344,6 +344,15 @@ def left_by(columns: FloatArray, aim: FloatArray, sign: IntArray) -> FloatArray:
     return np.asarray(aim - columns @ lsq_linear(*ridged, bounds).x)
 
 
+def bend(diagnosis: Diagnosis, differences: Differences, fix: SimulatorFix) -> float:
+    """Return how far a fix's run is off its parameters' changes about nominal, whitened."""
+    change = difference(fix.table, differences.nominal)
+    straight = sum((differences.change[name] * size for name, size in fix.deviation.items()), np.zeros_like(change))
+    nominal = diagnosis.nominal
+    missed = in_end_frame(nominal, (change - straight)[differences.rows(nominal.s)])
+    return float(np.linalg.norm(whitened_rows(nominal, diagnosis.noise, missed[:, :, None])))
+
+
 def _forbidden(diagnosis: Diagnosis) -> str:
     forms, signs, a, r = scaled_signatures(diagnosis)
     for form, sign, column in zip(forms, signs, a.T, strict=True):

@@ -181,7 +181,7 @@ def test_one_parameter_fewer_is_run_however_much_its_change_about_nominal_leaves
     gap = rng.standard_normal(100) * 1e3
     with (
         patch.object(simulator_diagnosis, "scaled_signatures", lambda _: (forms, np.zeros(2), columns, gap)),
-        patch.object(simulator_diagnosis, "_bend", lambda *_: 0.0),
+        patch.object(simulator_diagnosis, "bend", lambda *_: 0.0),
     ):
         differences = SimpleNamespace(by_cause=named)
         tried = [*simulator_diagnosis._neighbours(cast("Any", None), cast("Any", differences), best, 150.0)]
