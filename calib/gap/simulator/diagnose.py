@@ -18,7 +18,7 @@ from calib.campaign.wheels import on_its_source_alone
 from calib.errors import BadInputError, RefusedError
 from calib.gap.decision import most_square
 from calib.gap.decision.confounding import any_probability
-from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.decision.fix import PLAN
 from calib.gap.decision.kind import NO_GAP_SHOWN
 from calib.gap.decision.sentences import joined
@@ -139,7 +139,7 @@ def _confirmed(searched: _Search, differences: Differences, rng: np.random.Gener
     if diagnosis.kind in NO_GAP_SHOWN:
         return diagnosis
     rivals, unnamed = _rivals_of(diagnosis, differences, found), ""
-    if rivals:
+    if any(each.fix is not None for each in rivals):
         if told := _told_by_runs(searched, diagnosis, differences, rivals):
             diagnosis, found = told
         else:
@@ -372,24 +372,23 @@ def _as_rivals(diagnosis: Diagnosis, rivals: Sequence[_Rival]) -> Diagnosis:
         name: sum(weight for each, weight in zip(rivals, weights, strict=True) if name in each.names) / sum(weights)
         for name in best.names
     }
-    stated = {c.effect: _together(diagnosis, groups.get(c.effect, ()), c) for c in diagnosis.causes}
-    causes = tuple(replace(c, probability=stated[c.effect] * shares.get(c.effect, 1.0)) for c in diagnosis.causes)
+    evidence, ran = diagnosis.evidence, set[str]().union(*(each.names for each in rivals))
+    assert evidence is not None
+    causes = []
+    for cause in diagnosis.causes:
+        # what went together in the search, and was run, shares its probability by the runs alone
+        group = ran.intersection(groups.get(cause.effect, ()))
+        probability = any_probability(evidence, group) if len(group) > 1 else cause.probability
+        causes.append(replace(cause, probability=probability * shares.get(cause.effect, 1.0)))
     tied = len(groups) > len(diagnosis.groups) and diagnosis.kind is VerdictKind.EXPLAINED
     return replace(
         diagnosis,
-        causes=causes,
+        causes=tuple(causes),
         groups=tuple(groups.values()),
         kind=VerdictKind.AMBIGUOUS if tied else diagnosis.kind,
         credible_sets=tuple(dict.fromkeys((*(tuple(sorted(each.names)) for each in rivals), *diagnosis.credible_sets))),
         probabilities={**diagnosis.probabilities, **{cause.effect: cause.probability for cause in causes}},
     )
-
-
-def _together(diagnosis: Diagnosis, group: Sequence[str], cause: Cause) -> float:
-    # runs alone share it between parameters; an effect of the library, which no run shows, has an even share
-    assert diagnosis.evidence is not None
-    unshown = sum(not name.startswith(SIMULATOR_PREFIX) for name in group)
-    return any_probability(diagnosis.evidence, group) / (1 + unshown) if group else cause.probability
 
 
 def _moves(name: str, best: _Rival, other: _Rival) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.read import read_campaign
-from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.decision.diagnosis import Cause, Diagnosis, VerdictKind
 from calib.gap.simulator import diagnose as simulator_diagnosis
 from calib.gap.simulator import read_settings
 from calib.gap.simulator.diagnose import diagnose_simulator
@@ -186,3 +186,16 @@ def test_one_parameter_fewer_is_run_however_much_its_change_about_nominal_leaves
         differences = SimpleNamespace(by_cause=named)
         tried = [*simulator_diagnosis._neighbours(cast("Any", None), cast("Any", differences), best, 150.0)]
     assert [set(some) for some in tried] == [{"simulator:wheelbase"}, {"simulator:gain"}]
+
+
+def test_parameters_that_do_the_same_share_the_probability_of_both() -> None:
+    """Already shared in the search, it was shared again: 0.18 each of two that are at work for certain."""
+    names = ("simulator:track", "simulator:gain")
+    rivals = [
+        simulator_diagnosis._Rival(frozenset({name}), 90.0, {name: cast("Any", name)}, _fix(90.0)) for name in names
+    ]
+    cause = Cause(names[0], "", "", 0.37, share=1.0, signal=30.0, parameters={})
+    first = Diagnosis(VerdictKind.EXPLAINED, "", (cause,), groups=(names,), evidence=cast("Any", object()))
+    with patch.object(simulator_diagnosis, "any_probability", lambda _, group: 0.96 if group == {*names} else 0.37):
+        told = simulator_diagnosis._as_rivals(first, rivals)
+    assert [cause.probability for cause in told.causes] == pytest.approx([0.48])
