@@ -192,7 +192,10 @@ def test_parameters_that_do_the_same_share_the_probability_of_both() -> None:
     """Already shared in the search, it was shared again: 0.18 each of two that are at work for certain."""
     names = ("simulator:track", "simulator:gain")
     rivals = [
-        simulator_diagnosis._Rival(frozenset({name}), 90.0, {name: cast("Any", name)}, _fix(90.0)) for name in names
+        simulator_diagnosis._Rival(
+            frozenset({name}), 90.0, {name: cast("Any", SimpleNamespace(name="size"))}, _fix(90.0, size=0.1)
+        )
+        for name in names
     ]
     cause = Cause(names[0], "", "", 0.37, share=1.0, signal=30.0, parameters={})
     first = Diagnosis(VerdictKind.EXPLAINED, "", (cause,), groups=(names,), evidence=cast("Any", object()))
