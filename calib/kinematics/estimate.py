@@ -325,7 +325,6 @@ def _with_own_zeros(task: _Task, fitted: Fitted) -> Fitted:
     own = joint_fit.with_own_zeros(fitted)
     if not own.zero_spread_rad or not fitted.undetermined:
         return own
-    # what the zeros hid may be determined beside them
     again = task.fit(model.drive, own.model.recording, model.segments)
     solution = replace(again.solution, prediction=model.predict(again.solution.values))
     again = joint_fit.with_own_zeros(replace(again, model=model, solution=solution, logged=model.recording))

@@ -12,7 +12,15 @@ from calib.campaign import csv_bytes, write_campaign
 from calib.campaign.ingest import OF_FOLDERS, folders_of, listed_files
 from calib.campaign.ingest.logs import MappedLog
 from calib.campaign.ingest.mapping import SHEET, bad_line, read_mapping
-from calib.campaign.ingest.runs import files_of_runs, files_of_sheets, mapped_runs, match_logs, names_runs, with_lookups
+from calib.campaign.ingest.runs import (
+    Rows,
+    files_of_runs,
+    files_of_sheets,
+    mapped_runs,
+    match_logs,
+    names_runs,
+    with_lookups,
+)
 from calib.campaign.ingest.segmentation import Ingestion, Segment, end_values, segment_recordings
 from calib.campaign.logs import LogStack, detect_wrap_bits
 from calib.campaign.model import Border, Campaign, Note, RunTable, stacked
@@ -105,8 +113,8 @@ def _campaign(paths: Sequence[Path], work: Ingestion) -> Campaign:
     files = [path for path in files if table is None or path.resolve() != first.resolve()]
     runs = None
     if table is not None and (further := _further_tables(first, table, files, work)):
-        parts, files = {first: table, **further}.items(), []
-        parts_of = (mapped_runs(raw, work.mapping, work.settings, str(path), work.border) for path, raw in parts)
+        parts, files, known = {first: table, **further}.items(), [], Rows()
+        parts_of = (mapped_runs(raw, work.mapping, work.settings, str(path), work.border, known) for path, raw in parts)
         runs = stacked([*parts_of])
     elif table is not None and work.mapping.table.sheets:
         runs = _runs_of_sheets(first, work)

@@ -136,13 +136,18 @@ def names_runs(raw: RawTable, mapping: LabMapping) -> bool:
     return own or (line is not None and line.column in raw.columns) or (bool(sources) and sources <= {*raw.columns})
 
 
-def mapped_runs(raw: RawTable, mapping: LabMapping, settings: Campaign, shown: str, border: Border) -> RunTable:
-    """Return the run table of a laboratory's table; see `run_table`.
+Rows = dict[tuple[str, ...], tuple[str, int]]
+
+
+def mapped_runs(
+    raw: RawTable, mapping: LabMapping, settings: Campaign, shown: str, border: Border, known: Rows | None = None
+) -> RunTable:
+    """Return the run table of a laboratory's table; see `run_table`. `known`: rows of tables before, which grow.
 
     Raises BadFileError where the mapping names a column or a text that is not there, or the table cannot be used.
     """
     lines = resolved(mapping.table.columns, raw.columns)
-    raw = _without_repeats(_without_end(raw, lines, shown, border), shown, border)
+    raw = _without_repeats(_without_end(raw, lines, shown, border), shown, border, {} if known is None else known)
     factors: dict[str, float] = {}
     columns: dict[str, npt.NDArray[Any]] = {}
     for name, line in lines.items():
@@ -209,13 +214,13 @@ def _constant(name: str, line: MappedColumn, n_runs: int, mapping: LabMapping) -
     return object_array(values)
 
 
-def _without_repeats(raw: RawTable, shown: str, border: Border) -> RawTable:
-    first: dict[tuple[str, ...], int] = {}
+def _without_repeats(raw: RawTable, shown: str, border: Border, known: Rows) -> RawTable:
     keep = np.ones(len(raw.line), dtype=np.bool_)
     for index, (line, *row) in enumerate(zip(raw.line.tolist(), *raw.columns.values(), strict=True)):
-        earlier = first.setdefault(tuple("" if cell is None else str(cell).strip() for cell in row), line)
-        if earlier != line:
+        place = known.setdefault(tuple("" if cell is None else str(cell).strip() for cell in row), (shown, line))
+        if place != (shown, line):
             keep[index] = False
+            earlier = f"{place[1]} of {place[0]}".removesuffix(f" of {shown}")
             border.say(f"{shown}, row {line}", f"repeats row {earlier} in every cell and was dropped", "repeated_row")
     return raw.select(keep)
 

@@ -180,7 +180,6 @@ def _between_stops(time: FloatArray, wheels: Sequence[FloatArray], min_stop_s: f
     starts, ends = edges[::2], edges[1::2] - 1
     # the window looks ahead: a drive ends up to half a second after its last flag
     ends = np.minimum(np.searchsorted(time, time[ends] + _WINDOW_S), len(time) - 1)
-    # a standstill shorter than the least ends no run
     apart = time[starts[1:]] - time[ends[:-1]] >= min_stop_s
     starts, ends = starts[np.concatenate(([True], apart))[: len(starts)]], ends[np.append(apart, True)[: len(ends)]]
     beside = min(_STANDSTILL_S, 0.5 * min_stop_s)

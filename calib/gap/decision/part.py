@@ -64,7 +64,6 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     # the calibration that a dropped cause looks like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
         fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
-        # without a dropped cause the rest is unexplained
         left = () if dropped else rule.remaining(improvement, unexplained)
         odds = rule.needed(improvement) if by_odds else ()
         helpful = [*rule.unhelpful(improvement), *rule.oversized(kept, improvement)]

@@ -155,7 +155,6 @@ def _cells(
 ) -> list[tuple[int, float, float, bool]]:
     flat, one_lane = np.zeros_like(y), np.full_like(lane, _STRIP_LANE)
     aside = bool((lane != lane[0]).any()) or bool((np.abs(y) > 0.5 * CELL_M).any())
-    # where all runs keep to one line, its cells are strips
     grids = [(one_lane, flat), (lane, y)] if aside else [(one_lane, flat)]
     kept: list[tuple[int, float, float, bool]] = []
     for of_lane, across in grids:

@@ -97,7 +97,6 @@ def search(
     def settle(other: LocalSearch, left: Fitted) -> _Settled | None:
         if other.current or initial.with_current(()).weighting().scale:
             return _near(converge(other, greedy=False), left)
-        # what nothing is taken from is known where it is nearest
         return copy(initial), base
 
     gap_certain = at_base.nothing * at_base.as_believed < 1.0 - REPORTED_GAP_PROBABILITY

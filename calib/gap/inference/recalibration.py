@@ -244,7 +244,6 @@ def judge_recalibration(search: SearchResult, shifts: Mapping[str, tuple[str, ..
         likeliest = needed = tuple(k for k in range(3) if off[k] > EVEN_PROBABILITY)
     if not likeliest:
         beside_own = int(np.argmax(weighed[0][1]))
-        # needless beside a cause other than the current one
         needed = SUBSETS[beside_own] if probability[beside_own] > ALTERNATIVE_ODDS else ()
         if not needed and probability[order[0]] < EVEN_PROBABILITY:
             needed = SUBSETS[int(order[1])]

@@ -127,7 +127,6 @@ def _complete(log: Mapping[str, FloatArray], reference: Reference) -> dict[str, 
         return None
     complete = {column: log[column][known] for column in needed}
     if REFERENCE_POSE[0] in complete:
-        # motion alone counts: any frame serves as a map
         sensor = np.stack([complete[column] for column in REFERENCE_POSE], axis=1)
         complete |= dict(zip(REFERENCE_POSE, poses_of_vehicle(sensor, reference, in_map=True).T, strict=True))
     return complete

@@ -310,3 +310,17 @@ def test_run_tables_in_several_folders_are_one_campaign_and_said_to_be(tmp_path:
     assert "several" in text and "vehicles" in text
     assert len(made.runs) == 9
     assert [note.level for note in made.notes if note.code == "folders"] == ["suspicious"]
+
+
+def test_rows_that_two_day_files_hold_are_taken_once(tmp_path: Path) -> None:
+    """A day's sheet begins with the last runs of the day before; a like run of other cells stays."""
+    rows = [f"r{at},{40 + way},{way * 6500},{way * 6501}" for at, way in enumerate((0.3, 0.1, 0.8, 0.4, 0.6))]
+    (tmp_path / "lab").mkdir()
+    for name, several in (("day1", rows[:3]), ("day2", [*rows[1:], rows[0].replace("r0", "r9")])):
+        text = "\n".join(["run_id,distance_m,counts_left,counts_right", *several])
+        (tmp_path / "lab" / f"{name}.csv").write_text(text + "\n")
+    made = _proposed(tmp_path, tmp_path / "lab")[1]
+    assert made.runs.run_id.tolist() == ["r0", "r1", "r2", "r3", "r4", "r9"]
+    dropped = [note for note in made.notes if note.code == "repeated_row"]
+    assert len(dropped) == 2
+    assert all("day2.csv" in note.where and "day1.csv" in note.text for note in dropped)
