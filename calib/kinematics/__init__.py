@@ -292,8 +292,9 @@ def _piece(campaign: Campaign, row: int, source: str, per_rev: FloatArray, in_ma
         end = _last_pose(reference)
     if by_course:
         end = np.full(3, np.nan)
-    elif np.isnan(end).all() and not np.isfinite(reference).any():
-        end = _straight_end(campaign, row, source, turned.sum(axis=1))
+    elif np.isnan(end[:2]).all() and not np.isfinite(reference[:2]).any():
+        # a measured heading stays beside a length
+        end = np.where(np.isnan(end), _straight_end(campaign, row, source, turned.sum(axis=1)), end)
     gyro = float(runs.number(GYRO_TURN)[row])
     if by_gyro := bool(np.isnan(end[2]) and np.isfinite(gyro)):
         end = np.array([end[0], end[1], gyro])
@@ -316,8 +317,8 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
     turned_rad = 2.0 * np.pi * np.array([runs.number(name)[row] for name in WHEEL_COLUMNS[source]]) / per_rev
     if np.isnan(turned_rad).any():
         return "it has no log and no end counts"
-    if np.isnan(end).any():
-        end = _straight_end(campaign, row, source, turned_rad)
+    if np.isnan(end[:2]).any():
+        end = np.where(np.isnan(end), _straight_end(campaign, row, source, turned_rad), end)
     if np.isnan(end[0]):
         return "it has no log, and no end pose or distance_m of a straight run"
     if abs(end[2]) > ONE_ARC_RAD:

@@ -99,7 +99,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         n_segments=len(model.segments),
         estimates=estimates,
         covariance=covariance,
-        freedom=fitted.uncertainty.freedom if len(estimates) == parameters.free.sum() else None,
+        freedom=fitted.uncertainty.freedom and fitted.uncertainty.freedom.select(_kept(fitted)),
         undetermined=fitted.undetermined,
         held={name: float(value) for name, value in zip(parameters.names, values, strict=True) if name not in stated},
         clusters=(fitted.uncertainty.by, fitted.uncertainty.clusters),
@@ -117,9 +117,12 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     )
 
 
+def _kept(fitted: Fitted) -> IntArray:
+    return np.flatnonzero(~np.isin(fitted.parameters.free_names, fitted.undetermined))
+
+
 def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
-    parameters, uncertainty = fitted.parameters, fitted.uncertainty
-    kept = np.flatnonzero(~np.isin(parameters.free_names, fitted.undetermined))
+    parameters, uncertainty, kept = fitted.parameters, fitted.uncertainty, _kept(fitted)
     index = np.flatnonzero(parameters.free)[kept]
     sizes = parameters.nominal[index], fitted.solution.values[index], uncertainty.std[kept]
     columns = (part.tolist() for part in (*sizes, uncertainty.free[kept]))

@@ -25,6 +25,8 @@ TOLERATED: Final = 0.5
 #: a radius further from nominal, relative, is one of wrong counts or units: a factor of two halves it; a tenth less for
 #: the tyre
 GROSS: Final = 0.45
+#: radii over nominal that no unit or count makes: kilometres make a thousandth
+NOTHING: Final = 5e-4
 #: of two wheels, where data leave it open
 MEAN_RADIUS: Final = "mean_radius_m"
 
@@ -146,8 +148,10 @@ def fit_parameters(
                 solution = other if off < CLEARLY_LESS * near else solution
         else:
             solution = planned(model, parameters, values, known)
-        alone = solution.values
-        if not parameters.pulled and not determined(solution, parameters):
+        # paths that should close and do not, close at no scale
+        shrunk = bool((np.abs(solution.values[radii]) < NOTHING * parameters.nominal[radii]).all())
+        alone = parameters.nominal if shrunk else solution.values
+        if not parameters.pulled and (shrunk or not determined(solution, parameters)):
             continue
         if known is None:
             uncertainty = clustered(solution, parameters, recording, segments)

@@ -9,11 +9,12 @@ import numpy as np
 from calib.documents import Result, plain_fields
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
+from calib.kinematics.along import Freedom
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import MEAN_RADIUS, Delay, Fitted
 from calib.kinematics.readings import implausible
 from calib.kinematics.solve import COMPONENTS, DEGREES, LEAST, NOISE_STRETCHES, POWER, STATED_READINGS, kernels
-from calib.kinematics.uncertainty import UNBIASED, Freedom, flattened, whitened
+from calib.kinematics.uncertainty import UNBIASED, flattened, whitened
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
