@@ -174,7 +174,6 @@ def _numbers(raw: RawTable, matched: Mapping[str, Recognised], shown: str, borde
 
 def _texts(cells: npt.NDArray[Any], column: str, shown: str, line: IntArray) -> StrArray:
     texts = ["" if cell is None else cell.strip() if isinstance(cell, str) else _plain(cell) for cell in cells]
-    # all at once first: a fleet has many small run tables
     if not "".join(texts).isprintable() or max(map(len, texts), default=0) > LABEL_CHARACTERS:
         for text, row in zip(texts, map(int, line), strict=True):
             if any(ord(letter) < 32 for letter in text):

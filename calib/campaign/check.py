@@ -289,7 +289,6 @@ _OF_ALL_RADII: Final = frozenset({"count_scale", "contradicted_load", "swapped_l
 def doubts(campaign: Campaign) -> Iterator[str]:
     """Yield what is suspicious of all runs' radii and loads alike, which moves a law and shows in no residual."""
     kept = _taken_apart(campaign.included())[1]
-    # a radius that nobody stated says nothing of the counts
     scale = ("count_scale",) if checks.stated(kept, "vehicle.wheel_radius_m") else ()
     for name in (*scale, "counts_per_revolution", "loads_against_payload", "columns_as_one"):
         for note in CHECKS[name](kept):

@@ -228,7 +228,6 @@ class LogColumns(Mapping[str, FloatArray]):
         return len(self._columns)
 
     def __reduce__(self) -> tuple[type[dict[str, FloatArray]], tuple[dict[str, FloatArray]]]:
-        # another process, or a copy, has no part in the file
         return dict, (dict(self),)
 
 

@@ -237,7 +237,6 @@ def look_alike(name: str, missing: Iterable[str]) -> str | None:
 
 
 def _mistyped(word: str, wanted: str) -> bool:
-    # of short words another letter is another word: ref_z_m
     return word == wanted or (len(wanted) > 3 and SequenceMatcher(None, word, wanted).ratio() >= _TYPED)
 
 

@@ -292,7 +292,6 @@ def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray,
     way = np.abs(path_m)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.abs(distance_m) / way
-        # a radius that is off makes all ways too short or long
         known = ratio[np.isfinite(ratio) & ~posed]
         along = np.abs(ratio / (np.median(known) if len(known) else 1.0) - 1.0) < DISTANCE_AGREEMENT
     guided: BoolArray = along & (np.abs(apart_m) < MAX_WHEEL_DIFFERENCE * way) & ~posed

@@ -231,7 +231,6 @@ def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
         first=named[:1] == [effect],
         in_group=together,
         open=word in OPEN,
-        # of an outside cause wrong is what would be acted upon
         wrong=named_wrongly if effect else bool(verdict.get("recommended", False)),
     )
 

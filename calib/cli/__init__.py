@@ -96,7 +96,6 @@ def _inputs(parameters: dict[str, object], outputs: frozenset[str]) -> Iterator[
         if name in outputs:
             continue
         for part in value if isinstance(value, list | tuple) else [value]:
-            # a text that no file can be called by is no input
             if isinstance(part, Path) or (isinstance(part, str) and os.path.exists(part)):  # noqa: PTH110
                 yield Path(part)
 

@@ -99,7 +99,6 @@ def _machine_refused(error: Exception) -> str:
     if isinstance(error, MemoryError | OSError):
         return "out of memory; expected a campaign that fits; give fewer or shorter runs, or allow more (ulimit -v)"
     if isinstance(error, ImportError) and _NO_ROOM.search(str(error)):
-        # numpy puts pages of advice around the loader's words
         why = str(error).rpartition("Original error was: ")[2].strip().partition("\n")[0]
         return f"out of memory; found no room for a library ({why}); allow more address space (ulimit -v)"
     return ""

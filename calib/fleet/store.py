@@ -225,9 +225,7 @@ def _read(path: Path) -> dict[str, Kept]:
     if path.exists() and not path.is_file():
         raise BadInputError(f"{path}: found no regular file; expected one, or none; take it away")
     kept: dict[str, Kept] = {}
-    # a file of whole lines without a seal is the user's own
     whole = sealed = False
-    # bytes that are no UTF-8 break their line's seal alone
     with suppress(FileNotFoundError), path.open(encoding="utf-8", errors="surrogateescape") as stream:
         for line in stream:
             whole, sealed = whole or line.endswith("\n"), sealed or f'"{SEAL}"' in line

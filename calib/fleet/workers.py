@@ -221,7 +221,6 @@ def _end_with_parent() -> None:
 
 def _import_modules(modules: Sequence[str]) -> None:
     for module in modules:
-        # a missing extra is reported by the task that needs it
         with suppress(ImportError):
             importlib.import_module(module)
 
@@ -301,7 +300,6 @@ class DaskEngine(Engine):
 
 
 def _identify(address: str) -> None:
-    # a client that waits in vain could not be closed
     from distributed import rpc
 
     async def identity() -> None:

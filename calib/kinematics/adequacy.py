@@ -34,6 +34,8 @@ WRONG_SHARE: Final = 0.05
 FOLDS: Final = 5
 #: of fewer runs one is held out where the others keep this part of what is told of every direction: twice the spread
 LEAST_TOLD: Final = 0.25
+#: and of any number: what one fold alone tells, as a single taped length, is no prediction of the others
+CARRIED_ALONE: Final = 0.01
 #: from which replicates' scatter counts: known to about a third
 REPLICATE_DOF: Final = 4
 #: drift of a calibrated odometry: share of the way (UMBmark: 0.1 to 0.5 %), and heading as a share of the rotation and
@@ -297,7 +299,7 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
         told = (flattened(jacobian[of_fit != out]) for out in (FOLDS, number))
         whole_told, rest_told = (part.T @ part + solution.pull for part in told)
         least = np.linalg.eigvals(np.linalg.lstsq(whole_told, rest_told)[0]).real.min()
-        if len(rest) and away.any() and (len(runs) >= FOLDS or not by_run or least > LEAST_TOLD):
+        if len(rest) and away.any() and least > (LEAST_TOLD if by_run and len(runs) < FOLDS else CARRIED_ALONE):
             # by angles from their own zeros; held-out runs have the common one. The noise of four fifths is that of all
             seen = Model(model.drive, model.recording, rest)
             fit = solve(seen, fitted.parameters, solution.values, solution.scales, noise_rounds=1)

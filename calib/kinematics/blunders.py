@@ -154,7 +154,6 @@ def front_faults(recording: "Recording", segments: "Segments", radius_m: float, 
     if backwards:
         faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
         recording = recording.with_turned(-recording.steps.turned_rad)
-    # straight runs hardly tell which way the angle turns
     if (turning[0] < 0.0) != backwards and clear:
         text = f"the steering angle has the other sign: left turns are positive{OR_MIRRORED}"
         faults.append(Fault("reversed_steering", text))

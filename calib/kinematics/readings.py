@@ -107,7 +107,6 @@ def _referred(change: OfArray) -> Change:
 
 
 def _followed(recording: Recording) -> BoolArray:
-    # in a map an end is seen from the start's own heading
     known = np.isfinite(recording.reference).all(axis=0)
     return np.add.reduceat(known, recording.offsets[:-1], dtype=np.int64) > 1
 

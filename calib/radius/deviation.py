@@ -252,7 +252,6 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     runs, vehicle, model = campaign.runs, campaign.vehicle, campaign.model
     path = correct_paths(campaign)
     distance = np.abs(runs.number("distance_m"))
-    # wheels that were kept alike say nothing of the path
     blind = np.isnan(runs.number("ref_theta_rad"))
     known = (path.source != "none") & ~(blind & (steered_itself_m(campaign) >= 0.0))
     left, right = radius_error(path.left), radius_error(path.right)

@@ -90,7 +90,6 @@ def plural(count: int, noun: str) -> str:
 
 def capital(sentence: str) -> str:
     """Return a sentence with its first letter in upper case."""
-    # a column's or parameter's name stays as it is written
     return sentence if "_" in sentence.partition(" ")[0] else sentence[:1].upper() + sentence[1:]
 
 

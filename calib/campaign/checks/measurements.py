@@ -256,7 +256,6 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * checks.robust_spread(away))
     kept = payload[runs[~far]]
     for run in runs[far] if far.sum() <= MOST_ODD * len(runs) else ():
-        # the line is not known beyond the others' payloads
         if kept.min() <= payload[run] <= kept.max():
             text = f"""found {total[run]:.0f} N on both wheels with {payload[run]:g} kg; the other runs ask for
                 {expected[run]:.0f} N; check payload_kg and the weighing: it may be the load of another run"""

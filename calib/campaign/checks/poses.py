@@ -335,7 +335,6 @@ def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
     columns = checks.wheel_columns(campaign)
     steered = "steer_rad" in columns
     # beside unequal wheels, which turn in proportion to the distance; radii that scatter with the load make small
-    # headings follow the counts less than once, never more
     theta, turned = checks.reference_turns(campaign)[0], checks.turned_rad(campaign)
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
     if good.sum() < 2 * LEAST_RUNS:

@@ -106,7 +106,6 @@ def log_clock(campaign: Campaign) -> Iterator[Note]:
 def odd_lengths(campaign: Campaign) -> Iterator[Note]:
     """Find runs whose distance is far from what their wheels rolled, and logs whose time does not rise."""
     ratio = 0.5 * (raw_radius_ratio(campaign, SIDES[0]) + raw_radius_ratio(campaign, SIDES[1]))
-    # with a radius that was stated, `count_scale` finds them
     if np.isfinite(ratio).sum() >= LEAST_RUNS and not stated(campaign, "vehicle.wheel_radius_m"):
         ratio = ratio / float(np.nanmedian(ratio))
         for run in np.flatnonzero((ratio > ODD_RATIO) | (ratio < 1.0 / ODD_RATIO)):

@@ -113,7 +113,6 @@ class MappedColumn(_Model):
         """Return the line's unit, or one in the source's name that column `name` may have."""
         if self.unit is not None:
             return self.unit
-        # as `cam.x_mm`; beside it a factor is the conversion
         ending = split_suffix(self.column)[1] if abs(self.factor) == 1.0 else ""
         unit = unit_spelled(bracketed(self.column)[1] or ending or "")
         return unit if unit in units_for(name) or (name == "t_s" and _frames_per_s(unit)) else None

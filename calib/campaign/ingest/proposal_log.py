@@ -165,7 +165,6 @@ def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamConten
             found.pop(name, None)
         known = known or pair[0] in found
     bearing = found.pop("bearing_rad", None)
-    # beside a steered wheel an angle may be the steering's
     steers = "counts_front" in found and "steer_rad" not in found
     if bearing is None or not {"ref_x_m", "ref_y_m"} <= set(found) or "ref_theta_rad" in found or steers:
         return None
@@ -225,7 +224,6 @@ def _line(target: str, column: ColumnContents) -> str:
     unit = stem_and_unit(column.name)[1] or (own if own != needs else None)
     if needs and unit is None and own != needs and column.kind != "time":
         unit, remark = _time_unit(column) if target == "t_s" else (needs, unit_remark(target))
-    # to a target anywhere: harmless where the start is at 0
     return entry(target, column, unit, {"from_start": True} if target == "range_m" else None) + remark
 
 
@@ -303,7 +301,6 @@ def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnCont
     kinds = {
         "overflows": [column for column in columns if column.whole and column.wrap_bits],
         "rises in whole numbers": [column for column in rising if column.whole and not column.even],
-        # what stays within a turn is a heading, or steers
         "rises": [c for c in rising if _turns(c)] if all(UNNAMED.fullmatch(column.name) for column in columns) else [],
     }
     what, counters = next(((what, found) for what, found in kinds.items() if found), ("", []))

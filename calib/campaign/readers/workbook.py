@@ -319,7 +319,6 @@ def read_parquet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) 
         try:
             cells, epoch = _cells(read.column(name))
         except (pa.ArrowException, ValueError, OverflowError) as error:
-            # bytes that are no text, dates beyond the calendar
             raise _damaged(shown, error, name) from error
         if epoch is not None:
             epochs[name] = epoch

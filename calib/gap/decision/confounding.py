@@ -203,10 +203,8 @@ def _ends(evidence: Evidence, fitted: Fitted) -> FloatArray:
     journeys, about = evidence.journeys, fitted.path
     if journeys is None:
         path = hypothesis_path(about.s, fitted.calibration, fitted.forms, fitted.theta, about)
-        # parameters of a simulator move its vehicle's readings
         return path.reading[:, POSE] if about.s.calibration_held else path.end[:, :2]
     sections = [section_of(form, sizes) for form, sizes, _ in fitted.each()]
-    # what the journeys do not excite does nothing there
     declared = evidence.situation.campaign.extra.get("effects", ())
     perturbations, _ = applied_perturbations(journeys, sections, declared=declared)
     path = predict(journeys, [*calibration_pushes(journeys, fitted.calibration, None), *perturbations])

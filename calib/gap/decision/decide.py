@@ -65,7 +65,6 @@ def decide(evidence: Evidence) -> Diagnosis:
     probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
     differing = size_differences(evidence, probable)
     causes = naming.limited_beside(naming.causes_of(evidence, stated, certain, forms_open), unexplained)
-    # no reading decides between causes of what went together
     causes = naming.limited_to_even(causes, {group[0] for group in groups if parting(group)}.union(differing))
     small = _small(evidence, causes, probable, certain)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
@@ -124,7 +123,6 @@ def _of_sound_data(fix: Fix, situation: Situation, causes: Sequence[Cause]) -> F
 
 
 def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
-    # wrong loads spoil the sizes of causes that follow the load
     of_load = any("load" in cause.effect for cause in causes)
     if situation.faults:
         return []

@@ -171,7 +171,6 @@ def left_with_others(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArra
     observations = left_out.observations
     fold, by = folds(observations, sessions=sessions)
     if by != "run" and not all(left_out.is_predictive(fold == number) for number in np.unique(fold)):
-        # no other session predicts one that alone drove its route
         fold, by = _of_each_condition(observations), "run"
     held = np.ones(len(fold), dtype=np.bool_)
     for number in np.unique(fold) if by == "run" else ():

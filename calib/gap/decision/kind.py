@@ -224,7 +224,6 @@ def stands_off(evidence: Evidence) -> bool:
         return True
     _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
     agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled).T, *(-reach > scaled).T]]
-    # windows of a recording share what its radii are off by
     recordings, _ = np.unique(np.stack([condition, evidence.observations.run]), axis=1)
     if (np.array(agree) & (np.bincount(recordings) > 1)).any():
         return True

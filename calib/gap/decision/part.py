@@ -33,7 +33,6 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     `whole`: the fix of all causes, blunders apart, not recommended.
     """
     causes, unexplained = found.causes, found.unexplained
-    # a part needs a gap as the whole does; a blunder is one
     if not evidence.situation.faults and confounding.gap_probability(evidence) < CERTAIN_PROBABILITY:
         return whole
     kept, dropped, by_odds = _parted(found)

@@ -255,7 +255,6 @@ class ReferenceLatency(Effect):
         rolls = (np.abs(speed) > least) | (np.abs(first_speed) > least)
         has_pose = bool((observations.usable[:, 1:4].any(axis=1) & rolls).any())
         has_laser = bool((observations.usable[:, Channel.DISTANCE] & rolls).any())
-        # the start lay back as well, and all is seen from there
         start, end = (-np.stack(edge, axis=1) for edge in ((first_speed, first_rate), (speed, rate)))
         logged = observations.from_log
         end[logged] = 0.0

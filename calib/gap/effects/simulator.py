@@ -166,7 +166,6 @@ class WheelMotion:
             gap = (in_end_frame(self.nominal, left)[:, :4] * self.weight).reshape(len(basis.columns), -1, 1)
             sizes = basis.inverse @ gap
             now, promised = (gap**2).sum(axis=(1, 2)), ((gap - basis.columns @ sizes) ** 2).sum(axis=(1, 2))
-            # little by little a noisy change adds up over the runs
             gains = (now > promised) if self.noisy else (promised < basis.most * now)
             if now[gains].sum() <= rounding:
                 break

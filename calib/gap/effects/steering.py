@@ -310,7 +310,6 @@ def _moves_within(observations: Observations, values: FloatArray, rate: FloatArr
     if not np.isfinite(middle).all():
         return rate * delay_s
     first, end = (at[observations.unit] for at in (observations.starts[:-1], observations.starts[1:] - 1))
-    # runs one after the other, further apart than any delay
     apart = observations.unit * (np.ptp(middle) + 1.0)
     at = np.clip(middle + delay_s, middle[first], middle[end])
     inside = np.interp(at + apart, middle + apart, values)

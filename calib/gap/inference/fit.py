@@ -110,7 +110,6 @@ def hypothesis_path(
             added += [push.scaled(float(size)) for push, size in zip(own, sizes, strict=True)]
         return total_perturbation(part.s, added)
 
-    # the steps of all observations at once are never needed
     parts = about.parts() if None in whole else [(slice(0, len(s)), about)]
     return predict(s, [joined_perturbation(s, ((units, total(units, part)) for units, part in parts))])
 

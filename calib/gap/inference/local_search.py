@@ -80,7 +80,6 @@ class LocalSearch:
         deviations = defaultdict[str, Any](float)
         for k, size in own.items():
             name = system.forms[k].effect
-            # straight and curved part may be large and opposite
             deviations["law" if effect_class(name).is_load_law else name] += TOLERANCE * (system.of(k) @ size)
         return np.stack([*deviations.values()], axis=1) if deviations else np.zeros((len(system.gap), 0))
 

@@ -241,7 +241,6 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     gains = np.zeros((2, len(weight)))
     near = none in likely or weight[is_noise, none].max() > total.max() - NOISE_WINDOW
     if near and ScaleEvidence.is_open(local.system):
-        # where there surely is a gap, the estimated noise serves
         integrated = {*likely, none, models.index(local.current)}
         gain = scale_gains(local, weight, integrated, models, _LIKELY_WINDOW)
         gained = weight + gain

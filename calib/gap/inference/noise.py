@@ -158,7 +158,6 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
         noise = replace(noise, levels_dof=shapes.dof(log_scale, part.uncertainty(log_scale)))
         if noise.supported and not (basis is Basis.ROUTE and _contradicts_repeats(path, gap, shapes, log_scale)):
             return noise
-        # differences that may be a gap: the next support
         first = first or noise
     return first or _noise(path, shapes, prior, np.ones(len(gap)), Basis.STATED, 0.0)
 

@@ -98,7 +98,6 @@ class Trace:
 def traces_of(campaign: Campaign, observations: Observations) -> list[Trace]:
     """Return the gap along runs with a continuous reference or range."""
     if observations.aside_m is not None:
-        # two wheels on an axle cannot follow sideways motion
         return []
     campaign = on_one_axle(campaign, observations.model)
     first = {str(name): unit for unit, name in reversed(list(enumerate(observations.labels["run_id"])))}

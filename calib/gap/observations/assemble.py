@@ -179,7 +179,6 @@ def _guided(
     path, turn = steps.total(steps.path_m), steps.total(steps.turn_rad)
     posed = np.asarray(np.isfinite(measured[:, 1:4]).any(axis=1))
     if one_sensor:
-        # one sensor for both wheels: nothing tells them apart
         posed[:] = True
     guided = were_guided(measured[:, 0], path, turn * steps.track_m, posed)
     apart_m = turn[guided] * steps.track_m

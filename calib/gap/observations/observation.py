@@ -230,7 +230,6 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         heading, there = (heading, with_heading) if whole else (None, there)
     if len(rows := all_rows[there]) < (MIN_POSES if heading is None else 2):
         return None
-    # at every sample: the vehicle turns between slow poses
     left = log["counts_left"][all_rows] / per_rad[0] * model.radius_left_m
     right = log["counts_right"][all_rows] / per_rad[1] * model.radius_right_m
     travelled = np.concatenate(([0.0], np.cumsum(0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right))))))[there]
@@ -254,7 +253,6 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
             sigma_xy_m=reference.sigma_xy_m,
             way_m=min(way, COURSE_SHARE * float(travelled[-1])),
         )
-    # between two poses alone the wheels tell whole turns
     turned = _by_wheels(left, right, model.track_m)[there, 2] if len(rows) < MIN_POSES else 0.0
     of_sensor = np.column_stack([seen, turned + np.unwrap(heading[rows] - turned)])
     begins_there = not setup.in_map and travelled[0] <= reference.sigma_xy_m and _begins_at_place(of_sensor, reference)

@@ -221,7 +221,6 @@ def drive(
     if (by_length := corridor & np.array([run.tape or measured.distance for run in runs])).any():
         numbers["distance_m"] = np.where(by_length, ends[:, 0], np.nan)
     closed = np.array([run.loop == CLOSED for run in runs])
-    # beside an instrument, a tape gives the end's place
     seen = ~corridor | measured.beside
     placed = (np.array([run.tape for run in runs]) & measured.distance) | (seen & (closed | measured.position))
     by_reference = {"ref_x_m": placed, "ref_y_m": placed, "ref_theta_rad": seen & (closed | measured.heading)}

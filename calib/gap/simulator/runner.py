@@ -257,7 +257,6 @@ class Differences:
         )
         usable = measured.usable & np.isfinite(simulated)
         axis = self.axis
-        # a laser reads a length of a run driven backward, too
         ahead = np.where(measured.measured[:, Channel.ALONG] < 0.0, -1.0, 1.0) if axis == 1.0 else axis
         noise = self.scatter[self.rows(measured)] / np.sqrt(self.repeats)
         variance = noise**2

@@ -152,7 +152,6 @@ CONDITIONS: Final = {
 
 def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     """Return the certificate of a campaign or a result folder, as one XML file; see `export_from`."""
-    # the date of issue is the end of the measurement
     given = opened(path, progress=progress)
     source = source_of(given, issued="2000-01-01", accept=accept, where=path)
     fit, driven = source.fit, isinstance(given, Campaign)
@@ -222,7 +221,6 @@ def _loads(wheel: WheelFit, fit: Fit) -> list[float]:
     side = 0 if wheel.wheel == "left" else 1
     points = load_points(fit.radii.load_left_N, fit.radii.load_right_N)
     loads = sorted({round(pair[side], 3) for pair in points.values()})
-    # a load a run is weighing's scatter, no load points
     if not loads or len(loads) > max(len(wheel.load_N) // 2, 1):
         return list(np.linspace(wheel.law.load_min_N, wheel.law.load_max_N, LOAD_STEPS))
     return loads

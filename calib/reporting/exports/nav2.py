@@ -89,7 +89,6 @@ def amcl_components(poses: FloatArray) -> FloatArray:
     course = np.arctan2(step[:, 1], step[:, 0])
     first = np.where(way < SHORTEST_WAY_M, 0.0, wrapped(course - knots[:-1, 2]))
     second = wrapped(step[:, 2] - first)
-    # a vehicle that drives backward has not made half a turn
     turns = [np.minimum(np.abs(turn), np.abs(wrapped(turn - np.pi))) ** 2 for turn in (first, second)]
     before, after = _levers(knots[:-1], end), _levers(knots[1:], end)
     along = _directions(np.where(way < SHORTEST_WAY_M, knots[:-1, 2], course), end)

@@ -48,7 +48,6 @@ def simulation_content(simulation: Simulation) -> tuple[Block, ...]:
 
 
 def _sweeps(simulation: Simulation) -> list[tuple[str, Sweep]]:
-    # a law alone has one case, whose radii are those believed
     return [
         (name, sweep)
         for name, sweep in simulation.sweeps.items()
