@@ -257,10 +257,8 @@ def quantities_of(
     compared = [name for name, column in values.items() if np.isfinite(column).sum() >= FEWEST_COMPARED]
     common = _differences(vehicles, {name: values[name] for name in compared}, labels)
     own = {name: column.copy() for name, column in values.items()}
-    having = {(label, value): inside for label, value, inside in _labelled(vehicles, labels)}
-    for cause in reversed(common):
-        inside = having[cause.label, cause.value]
-        own[cause.quantity][inside] = values[cause.quantity][inside] - cause.difference.size
+    for cause, inside in common:
+        own[cause.quantity][inside] -= cause.difference.size
     apart = _apart(vehicles, {name: own[name] for name in compared}, values, std)
     usual = ~np.isin(vehicles, [*(outlier.vehicle for outlier in apart), *drifting])
     populations = {}
@@ -271,7 +269,7 @@ def quantities_of(
     means = {name: populations[name].mean for name in compared if name in populations}
     middle = {name: float(np.nanmean(own[name])) for name in compared if name not in means} | means
     stay = (replace(one, fleet=one.fleet + middle[one.quantity]) for one in apart if one.vehicle not in drifting)
-    return Quantities(populations, tuple(stay), common)
+    return Quantities(populations, tuple(stay), tuple(cause for cause, _ in common))
 
 
 def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, str, BoolArray]]:
@@ -280,18 +278,25 @@ def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, st
         yield from ((label, value, own == value) for value in sorted({*own} - {""}))
 
 
-def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> tuple[LabelDifference, ...]:
-    candidates = []
-    for label, value, with_label in _labelled(vehicles, labels):
-        for name, column in values.items():
-            known = np.isfinite(column)
-            inside = with_label[known]
-            if FEWEST_COMPARED <= inside.sum() <= (~inside).sum():  # what the larger part shares is the fleet's own
-                difference = difference_of(column[known], inside)
-                candidates.append(LabelDifference(label, value, name, int(inside.sum()), difference))
-    stands = any_false(np.array([one.difference.p_value for one in candidates]))
-    kept = [one for one, stand in zip(candidates, stands, strict=True) if stand]
-    return tuple(sorted(kept, key=lambda one: (one.difference.p_value, one.label, one.value, one.quantity)))
+def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> list[tuple[LabelDifference, BoolArray]]:
+    # the clearest first, then what stands without it: beside a label that is off all others are off the other way
+    left, having, kept = {name: column.copy() for name, column in values.items()}, [*_labelled(vehicles, labels)], []
+    for _ in range(len(having) * len(left)):
+        candidates = []
+        for label, value, with_label in having:
+            for name, column in left.items():
+                known = np.isfinite(column)
+                inside = with_label[known]
+                if FEWEST_COMPARED <= inside.sum() <= (~inside).sum():  # what the larger part shares is the fleet's own
+                    difference = difference_of(column[known], inside)
+                    candidates.append((LabelDifference(label, value, name, int(inside.sum()), difference), with_label))
+        stands = any_false(np.array([one.difference.p_value for one, _ in candidates]))
+        if not (further := [one for one, stand in zip(candidates, stands, strict=True) if stand]):
+            break
+        clearest, inside = min(further, key=lambda one: (one[0].difference.p_value, one[0].value, one[0].quantity))
+        left[clearest.quantity][inside] -= clearest.difference.size
+        kept.append((clearest, inside))
+    return kept
 
 
 def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns) -> tuple[Outlier, ...]:

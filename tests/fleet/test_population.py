@@ -186,6 +186,22 @@ def test_an_outlier_is_as_far_from_the_fleet_as_from_the_mean_that_is_shown() ->
     assert Outlier("v", "gyro_scale", 1.5, 1.0, 9.0).why.startswith("gyro scale: 1.5, +0.5 from")
 
 
+def test_a_hall_that_is_off_makes_no_other_hall_off() -> None:
+    """Beside hall B, whose radii are larger, halls A and C lie below the mean of the others; they share nothing."""
+    rng, n = np.random.default_rng(3), 160
+    halls = np.array(["A"] * 60 + ["B"] * 40 + ["C"] * 60)
+    names = [f"v{number:03d}" for number in range(n)]
+    radii = 0.1 + 5e-5 * rng.standard_normal(n) + 1.2e-4 * (halls == "B")
+    labels = {"hall": dict(zip(names, halls.tolist(), strict=True))}
+    found = quantities_of(names, {"radius_right_ref_m": radii}, {"radius_right_ref_m": np.full(n, 1e-6)}, labels)
+    (common,) = found.common
+    assert (common.value, common.n_vehicles) == ("B", 40)
+    low, high = common.difference.ci95
+    assert low < 1.2e-4 < high
+    low, high = found.populations["radius_right_ref_m"].mean_ci95
+    assert low < 0.1 < high
+
+
 @pytest.mark.parametrize(
     ("quantity", "shown"),
     [

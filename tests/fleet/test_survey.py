@@ -85,8 +85,10 @@ def test_geometry_of_a_fleet_has_populations_and_what_a_hall_shares(
     survey = survey_fleet(fleet, tmp_path / "out", "geometry")
     assert survey.quantities is not None
     assert [outlier.vehicle for outlier in survey.quantities.outliers] == ["v05"]
-    shared = [(one.label, one.value, one.quantity) for one in survey.quantities.common]
-    assert shared == [("hall", "A", "track_m"), ("hall", "B", "track_m")]
+    # of two halls alone either is off the other
+    (shared,) = survey.quantities.common
+    assert (shared.label, shared.quantity) == ("hall", "track_m")
+    assert abs(shared.difference.size) == pytest.approx(2e-3, abs=2e-4)
     low, high = survey.quantities.populations["radius_left_m"].mean_ci95
     assert low < 0.1 < high
     pages = write_fleet(survey, tmp_path / "out", name="halls", issued="2026-01-31")
