@@ -137,7 +137,6 @@ def _model_of(
 def _hopeless(campaign: Campaign, recording: Recording, drive: drives.Drive, divide: Divide) -> bool:
     try:
         model, parameters = _model_of(campaign, recording, drive, divide, MOUNTED)
-        # without headings no linear step tells how a path bends
         if not model.segments.seen[:, 2].all():
             return False
         with np.errstate(all="ignore"):

@@ -110,7 +110,8 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     column, rest = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
     information, runs = float(column @ column), model.segments.run
     group = np.repeat(runs if len(np.unique(runs)) >= FEWEST_GROUPS else model.segments.block, 3)
-    if information <= 0.0 or len(np.unique(group)) < min(FEWEST_GROUPS, flat.shape[1] + 2):
+    few = model.segments.seen.sum() <= flat.shape[1] + FEWEST_GROUPS
+    if few or information <= 0.0 or len(np.unique(group)) < min(FEWEST_GROUPS, flat.shape[1] + 2):
         return 0.0, 0.0, np.inf
     steps = float(column @ rest) / information
     pulls = np.bincount(group, column * (rest - steps * column))
@@ -119,7 +120,7 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     return share, steps * departure.step, std * abs(departure.step)
 
 
-#: runs from which on they are the groups, not blocks of them
+#: runs from which on they are the groups, not blocks of them; readings beside the parameters
 FEWEST_GROUPS: Final = 8
 #: a size below this part of the one tried is another one's, or of the wrong sign
 LEAST_SIZE: Final = 0.5

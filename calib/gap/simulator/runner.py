@@ -226,7 +226,6 @@ class Differences:
             size = self.size[each.name]
             carried[each.name] = wheels.carried(self.change[each.name][rows] * size, size, both_ways=both_ways)
         if len(self.met) > 1:
-            # what wheels carry is no sum, and would miss the run met
             pushes = [carried[name].motion(size) for name, size in self.met.items()]
             moved = (predict(nominal.s, pushes).reading - nominal.reading)[:, :4]
             left = sum((self.change[name][rows] - carried[name].reading) * size for name, size in self.met.items())
