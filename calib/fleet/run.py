@@ -306,11 +306,13 @@ def _geometry(member: Member) -> dict[str, object]:
     from calib.kinematics.estimate import estimate_geometry
 
     geometry = estimate_geometry(_campaign(member))
+    # what rests on the nominal mean radius is no result; its ratios are
+    rows = [*(one for one in geometry.estimates if one not in geometry.scaled), *geometry.ratios]
     return {
         "verdict": geometry.verdict.value,
         "passed": geometry.passed,
         "using": geometry.using,
-        "estimates": {estimate.name: plain_fields(estimate) for estimate in geometry.estimates},
+        "estimates": {one.name: plain_fields(one) for one in rows},
         "undetermined": list(geometry.undetermined),
         "wrong": [fault.code for fault in geometry.faults],
         "reasons": list(geometry.why),

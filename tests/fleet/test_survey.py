@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from markupsafe import escape
 
+from calib.campaign import write_campaign
 from calib.campaign.read import read_campaign
 from calib.errors import BadInputError, CalibError
 from calib.fleet import VehicleResult, shared_causes
@@ -22,6 +23,8 @@ from calib.plant.make import FleetSize, make_posed_fleet
 from calib.reporting.formatting import to_text
 from calib.reporting.pages import write_fleet
 from calib.reporting.topics.geometry import fleet_content
+from tests.kinematics.campaigns import Truth, square
+from tests.kinematics.unaided import Drive, Gyro, unaided
 
 ROOT = Path(__file__).resolve().parents[2]
 N_VEHICLES = 12
@@ -152,3 +155,18 @@ def test_what_each_vehicle_ended_with_is_shown() -> None:
     shown = to_text(fleet_content(Survey("diagnose", tuple(records), (), 3, 0)))
     assert re.search("partly_explained +floor_slope +2 +v1, v3", shown)
     assert re.search("wrong +no_log +1 +v2", shown)
+
+
+def test_lengths_that_rest_on_the_nominal_mean_radius_are_no_figures_of_a_fleet(tmp_path: Path) -> None:
+    """Of closed loops the ratios are, and they show the vehicle whose track is another."""
+    loops = [Drive(f"square{sense}", square(2.0, sense), frozenset({"loop"})) for sense in (1, -1) * 3]
+    for number in range(10):
+        rng = np.random.default_rng([9, number])
+        truth = Truth(
+            0.05, 0.05 * (1.0 + 1e-3 * rng.normal()), 0.4 * (1.0 + 1e-3 * rng.normal() + 0.03 * (number == 4))
+        )
+        write_campaign(unaided(loops, truth, Gyro(), rng), tmp_path / "fleet" / f"v{number}")
+    found = survey_fleet(tmp_path / "fleet", tmp_path / "out", "geometry").quantities
+    assert found is not None
+    assert found.populations.keys() == {"right_over_left", "track_over_radius"}
+    assert [(outlier.vehicle, outlier.quantity) for outlier in found.outliers] == [("v4", "track_over_radius")]
