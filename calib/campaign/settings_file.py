@@ -74,7 +74,6 @@ def parse_settings(document: dict[str, object], shown: str, default_name: str) -
         part.notes.append(Note("info", shown, f'no format is given; "{FORMAT}" was assumed', "format"))
     vehicle: Vehicle = part.checked("vehicle")
     if vehicle.cog_x_m > vehicle.wheelbase_m and "vehicle.cog_x_m" in _not_stated(document):
-        # the default is a longer vehicle's
         vehicle = replace(vehicle, cog_x_m=vehicle.cog_x_m * vehicle.wheelbase_m)
     encoder = part.checked("encoder", _counts(part, vehicle))
     radii = dict.fromkeys(("radius_left_m", "radius_right_m"), vehicle.wheel_radius_m)

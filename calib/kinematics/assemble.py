@@ -18,7 +18,7 @@ from calib.campaign.wheels import odometry_source
 from calib.errors import BadInputError
 from calib.kinematics import Recording, recording_of
 from calib.kinematics.adequacy import LENGTHS_ALONE, OUTLIER_CHANCE, bad_windows, judged
-from calib.kinematics.blunders import Fault, corrected, still_counters
+from calib.kinematics.blunders import Fault, corrected, of_gyro, still_counters
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, SENSOR, Drive, first_scales, parameters_of
 from calib.kinematics.joint_fit import LONGEST_STEP_S, MEAN_RADIUS, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments, window_segments
@@ -87,6 +87,8 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         if source == "rear" and len(whole.segments) and whole.segments.are_runs_of(whole.recording)
         else Umbmark(False, why="squares of a vehicle with two encoders on one axle are needed")
     )
+    if model.recording.by_gyro.any():
+        faults = tuple(map(of_gyro, faults))
     judgement = judged(campaign, fitted, whole, faults, outliers)
     noise, expected = noise_sizes(fitted, first_scales(campaign.reference))
     return Geometry(

@@ -1,7 +1,7 @@
 """Blunders of wheels and settings: swapped columns, signs, units, half a track, mirrors."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
@@ -384,3 +384,10 @@ def _left(model: "Model", values: FloatArray) -> tuple[float, float]:
     short = np.mean(np.abs(way - (way - missed) * np.exp(1j * turned)) ** 2) / max(np.mean(np.abs(way) ** 2), 1e-12)
     turn, of_turn = np.mean(np.square([measured[:, 2], rest[:, 2]]), axis=1)
     return float(short + of_turn / (turn + LEAST_TURN_RAD**2)), abs(turned)
+
+
+def of_gyro(fault: Fault) -> Fault:
+    """Return a fault of headings in the words of a campaign whose turns a gyro measured."""
+    text = fault.text.removeprefix("ref_x_m, ref_y_m, ").replace("ref_y_m and ref_theta_rad are", "ref_theta_rad is")
+    either = " (or left and right wheels are exchanged)" * (fault.code == "heading_clockwise")
+    return replace(fault, text=text.replace("ref_theta_rad", "gyro_z_radps") + either)

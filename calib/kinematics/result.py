@@ -344,7 +344,6 @@ def noise_sizes(fitted: Fitted, stated: FloatArray) -> list[dict[str, float]]:
     variance_std = np.sqrt(np.diag(bread @ (scores @ scores.T + by_stated) @ bread))
     dof = max(len(np.unique(block)) - int(fitted.parameters.free.sum()), FEWEST_DOF)
     # with what shares its channel, uncertain by sqrt(2 / dof), an inverse chi squared: its mean is dof / (dof - 4) of
-    # that where all variances were alike likely
     expected = scales + variance_std * np.sqrt(8.0 * dof) / (dof - 4.0)
     return [dict(zip(COMPONENTS, row, strict=True)) for row in np.sqrt([scales, expected]).tolist()]
 

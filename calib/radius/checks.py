@@ -110,7 +110,6 @@ def _with_other_load(runs: _Residuals, *, several: bool) -> str:
     slope, *_, moved = np.linalg.lstsq(np.column_stack((line, of)), fit.radius_m, rcond=None)[0]
     stated, largest = float(fit.load_N[of].mean()), float(fit.load_N.max())
     load = stated + moved / slope if slope else 0.0
-    # a wrong distance seldom has a load of other runs
     if np.min(np.abs(fit.load_N[~of] - load)) > SAME_LOAD * largest:
         return ""
     session = runs.groups.names[runs.groups.index[of][0]]

@@ -109,7 +109,6 @@ def _other_reading(radii: EffectiveRadii) -> str:
         for start in starts if len(other) == 1 else _starts(loads, radius, pairs):
             square, chosen = _squares(options, measured, days, start)
             log_p = 0.5 * dof * np.log(max(square, 1e-300) / stated) + n * np.log(len(options))
-            # one run exchanged, or all the others: the fewer
             fewer = log_p + np.log(n) * np.count_nonzero(chosen)
             words = f"with {name} in {listed(radii.run_id[chosen > 0])}"
             # the same pairs of load and radius, for the other wheel

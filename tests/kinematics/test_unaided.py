@@ -99,3 +99,15 @@ def test_as_many_headings_as_parameters_and_slips_tell_no_slip() -> None:
         for fault in estimate_geometry(_headings(6, np.random.default_rng([7, seed]), taped=0)).faults
     ]
     assert [code for code in doubted if "slip" in code] == []
+
+
+@pytest.mark.parametrize(("scale", "words"), [(-1.0, "wheels are"), (180.0 / np.pi, "found degrees")])
+def test_a_gyro_of_another_sense_or_unit_is_named_as_such(scale: float, words: str) -> None:
+    """To it wheels that are exchanged look alike; no column is named that the campaign does not have."""
+    rng = np.random.default_rng(8)
+    legs = [[(rng.uniform(0.5, 1.5), rng.uniform(-0.7, 0.7)) for _ in range(4)] for _ in range(12)]
+    runs = [Drive("free", some, frozenset({"gyro"})) for some in legs]
+    runs += [Drive("corridor", [(8.0, 0.0)], frozenset({"gyro", "tape"})) for _ in range(4)]
+    fault, *_ = estimate_geometry(unaided(runs, TRUTH, Gyro(scale=scale), rng)).faults
+    assert words in fault.text
+    assert "gyro_z_radps" in fault.text and "ref_" not in fault.text

@@ -170,7 +170,6 @@ class LoadCreep(_OfLoad):
         parameters = tuple(replace(creep, name=name) for name in _sides(observations, "creep"))
         unladen = observations.vehicle.unladen_load_N
         # the load before it (2, n_obs), from which the band creeps to the present one; None for the load itself, and
-        # where that is zero: the vehicle always bears its own
         creeps: list[tuple[str, FloatArray | None, Centre | None]] = [("whole load", None, None)]
         if loads_vary(observations):
             creeps.append(("load above the unladen", None, Centre(unladen)))

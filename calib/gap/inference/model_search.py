@@ -126,7 +126,6 @@ def search(
 def _begun_anew(initial: LocalSearch, converge: Callable[..., _Settled]) -> _Settled:
     starts = [initial.with_current(model) for model in initial.best_single_effects(_SINGLE_STARTS)]
     starts = [converge(start, greedy=False)[0] for start in starts]
-    # what grows beyond bounds when fitted alone has no evidence
     best = max(starts, key=lambda start: np.nan_to_num(start.evidence(), nan=-np.inf))
     ended = converge(copy(initial), largest_scale=_SMALL_LACK_OF_FIT), converge(best)
     return max(ended, key=lambda end: end[0].evidence())
@@ -286,7 +285,6 @@ def _most_probable(local: LocalSearch, fitted: Fitted, gap_certain: bool, settle
         weighed = weigh(local)
         by_set, own = local.by_effects(weighed.models, weighed.probability.sum(axis=0)), local.current_effects
         if gap_certain:
-            # no effect then counts by lack of fit and calibration alone
             by_set[()] -= weighed.nothing * weighed.as_believed
         visited[own] = local, fitted, weighed
         most_probable = max(by_set, key=lambda key: by_set[key])

@@ -221,7 +221,6 @@ def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[Flo
     observations = path.s
     design = np.zeros((len(observations), 6, N_GROUP_COLUMNS))
     design[:, :, :3] = _of_their_route(path, grouped)
-    # on a straight the wheels' turn is the noise
     design[path.guided, :, 2] = 0.0
     design[:, np.arange(6), 3 + np.arange(6)] = 1.0
     design = np.where(observations.usable[:, :, None], design, 0.0)

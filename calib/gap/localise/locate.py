@@ -214,7 +214,6 @@ def covariate_values(observations: Observations) -> dict[str, FloatArray | StrAr
     number, labels = observations.number, observations.labels
     load_left, load_right = observations.wheel_loads_N
     by_wheels = observations.total(observations.turn_rad)
-    # the wheels' turn shares the gap's errors
     turn = np.where(observations.usable[:, Channel.HEADING], observations.measured[:, Channel.HEADING], by_wheels)
     speed = number("speed_mps")
     values: dict[str, FloatArray | StrArray] = {"route": labels["kind"]}

@@ -217,7 +217,6 @@ def with_next(campaign: Campaign, runs: Sequence[PlannedRun]) -> Campaign:
 def _measured(campaign: Campaign) -> Measured:
     runs, logs = campaign.runs, campaign.logs
     front = logs.columns.get("counts_front")
-    # a floor mark measures a closed loop
     open_path = runs.label("loop") != CLOSED
     by_laser, turned = np.isfinite(runs.number("distance_m")), np.isfinite(runs.number("ref_theta_rad"))
     # a place without a heading beside a laser's distance is a tape's
