@@ -93,7 +93,6 @@ def _describe(sources: list[Path]) -> None:
     terminal.emit_json(description.to_dict())
     if not terminal.wants_stdout():
         terminal.emit_text(description.to_toml())
-        # standard output is the mapping alone
         terminal.then("ingest --describe", aside=True, sources=description.sources)
 
 

@@ -95,7 +95,6 @@ def _opened(path: Path, shown: str, *, results: bool = True) -> Iterator[Any]:
     except (BadFileError, MemoryError):
         raise
     except Exception as error:
-        # damaged workbooks raise errors of many kinds
         expected = "an .xlsx file that a spreadsheet program opens"
         remedy = "open it and save it again, or export it as CSV"
         raise BadFileError(shown, f"a damaged workbook ({type(error).__name__})", expected, remedy) from error
