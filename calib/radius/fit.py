@@ -249,12 +249,12 @@ def _with_weighing_check(fit: WheelFit) -> WheelFit:
     if fit.model != "line" or (n_runs < 2).any():
         return fit
     lever = n_runs * (loads_N - fit.load_N.mean()) / np.sum((fit.load_N - fit.load_N.mean()) ** 2)
-    moved = abs(fit.law.slope_m_per_N) * float(np.linalg.norm(lever * WEIGHED_TO * loads_N))
-    if moved < fit.law.std_of((0.0, 1.0)):
+    share = float(np.linalg.norm(lever * WEIGHED_TO * loads_N))
+    if abs(fit.law.slope_m_per_N) * share < fit.law.std_of((0.0, 1.0)):
         return fit
     sentence = (
         f"{len(loads_N)} loads stand for {len(fit.load_N)} runs, as if weighed once or computed: errors of "
-        f"{100 * WEIGHED_TO:.0f} % move the slope by {UM * moved:.2g} um/N, which no interval holds; weigh each run, "
+        f"{100 * WEIGHED_TO:.0f} % move the slope by {100 * share:.2g} %, which no interval holds; weigh each run, "
         "or declare weighing.scale under [uncertainty]."
     )
     return replace(fit, checks=(*fit.checks, Check("weighing", NOTE, sentence)))

@@ -181,8 +181,8 @@ def test_errors_of_loads_weighed_once_move_the_slope_as_stated() -> None:
     errors = 1.0 + 0.01 * rng.standard_normal((draws, 3))
     slopes = [np.polyfit(loads * np.repeat(error, [6, 12, 6]), radius, 1)[0] for error in errors]
     # the scatter of a standard deviation over so many draws, three times, and two digits printed
-    stated = 1e-6 * float(check.sentence.partition("slope by ")[2].partition(" um")[0])
-    assert stated == pytest.approx(float(np.std(slopes)), rel=3.0 / np.sqrt(2.0 * draws) + 0.03)
+    stated = 0.01 * float(check.sentence.partition("slope by ")[2].partition(" %")[0])
+    assert stated == pytest.approx(float(np.std(slopes)) / 1.4e-6, rel=3.0 / np.sqrt(2.0 * draws) + 0.03)
     declared = replace(made, extra={"uncertainty": {"weighing": {"scale": {"std": 0.01}}}})
     assert _weighing_check(declared) is None
     anew = loads + rng.normal(0.0, 1.0, len(loads))

@@ -211,6 +211,13 @@ def test_the_identification_follows_the_inputs_alone(source: Source, campaign: C
     assert source.report_id in dict(compose(source).head)["Report"]
 
 
+def test_the_example_is_the_report_of_this_version(project_root: Path) -> None:
+    """Its identification follows inputs, version and coefficients; `reports/README.md` has the command to make it."""
+    made = source_of(read_campaign(project_root / "sample_runs" / "corridor_crossed"), issued="2025-03-31")
+    example = (project_root / "reports" / "example" / "corridor_crossed.pdf").read_bytes()
+    assert made.report_id.encode() in example
+
+
 def test_simulated_data_are_marked_and_measured_ones_are_not(report: Report, measured: Source) -> None:
     assert report.to_dict()["simulated"] is True
     assert compose(measured).to_dict()["simulated"] is False

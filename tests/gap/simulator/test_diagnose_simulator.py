@@ -252,26 +252,6 @@ def test_a_fix_that_the_simulator_does_not_confirm_is_no_explanation(tmp_path: P
     assert any("your simulator, run again with it, closes" in text for text in done.diagnosis.fix.why)
 
 
-def test_a_parameter_goes_no_further_than_its_largest(tmp_path: Path) -> None:
-    """A track 12 mm off, of which 5 mm are said to be plausible: the simulator may fail beyond."""
-    track = '[[parameter]]\nname = "t"\nnominal = 0.7\nstep = 0.001\nlargest = 0.005\nunit = "m"\n'
-    done = diagnosed(tmp_path, {"track": 0.712}, other_settings(tmp_path, 'p["track"] = given["t"]', track))
-    assert done.diagnosis.fix.parameters == pytest.approx({"t": 0.705}, abs=1e-12)
-    assert not done.diagnosis.recommended
-    assert "t of your simulator stands at its largest: raise that where more is possible" in done.diagnosis.fix.why
-
-
-@pytest.mark.parametrize(("sign", "named"), [(1, "simulator:k"), (-1, "load_radius")])
-def test_a_sign_that_forbids_what_is_asked_leaves_the_effect_to_the_library(
-    tmp_path: Path, sign: int, named: str
-) -> None:
-    """Else a neighbour of the effect that the parameter stands for would take its place."""
-    law, size = 'p["load_slope"] = 1e-7 * given["k"]', f"step = {sign}.0\nlargest = 60.0\nsign = {sign}\n"
-    parameter = f'[[parameter]]\nname = "k"\nnominal = 0.0\neffect = "load_radius"\n{size}'
-    done = diagnosed(tmp_path, {"load_slope": 1e-6}, other_settings(tmp_path, law, parameter))
-    assert [cause.effect for cause in done.diagnosis.causes] == [named]
-
-
 def test_a_cause_that_a_curve_imitated_leaves_no_trace_in_the_fix(tmp_path: Path) -> None:
     """The track follows the square of a parameter: beside its slope alone the library's track is named, at first."""
     sim = other_settings(
