@@ -134,6 +134,10 @@ def next_runs(
     kept = {*first, 0} if later or set(first.values()) & {_OF_LAW, _BOTH_WAYS} else {*first}
     chosen, beside = _needed(task, chosen, kept, most - len(later) * (most != 2))
     later = later[: most - len(chosen)]
+    # a session of new routes alone could be a step of that session
+    fresh = [_count(driven, replace(runs[n], tape=False)) > 1 for n in (0, *chosen, *later)]
+    if task.tied and fresh[1:] and all(fresh[1:]) and not fresh[0] and len(chosen) < most:
+        chosen, runs[0] = [*chosen, 0], replace(unladen, count=1)
     proposed, steps = list[PlannedRun](), task.of([[*beside, *chosen[:place]] for place in range(len(chosen) + 1)])
     for n, before, after in zip(chosen, steps, steps[1:], strict=False):
         why = "; ".join(filter(None, (first.get(n, ""), task.why(before, after, steps[-1])))) or _BESIDE
