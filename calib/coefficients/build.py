@@ -82,6 +82,8 @@ def from_fit(
     except (TypeError, OverflowError) as error:
         found = f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit"
         raise BadInputError(f"{found}; make it anew with 'calib fit CAMPAIGN --into FOLDER'") from error
+    if failed := [f"{name} wheel, {check.name}: {check.sentence}" for name, check in fit.failed_checks]:
+        file = file.changed(failed_checks=failed)
     return file.accepted(fit.accepted, fit.implausible)
 
 
@@ -319,7 +321,7 @@ def coefficients_of(
         raise BadFileError(path, "nothing", expected, "give the path of one")
     if (path.is_file() and (path.suffix != ".json" or _is_coefficients(path))) or _is_geometry(path):
         file = load_coefficients(path)
-        return Source(file.changed(**changes) if changes else file)
+        return Source(file.changed(**changes) if changes else file, _doubts(file))
     if is_result(path):
         return coefficients_from(read_result(path), accept, **changes)
     from calib.campaign.read import read_campaign
@@ -342,8 +344,11 @@ def coefficients_from(given: Fit | Campaign, accept: str = "", **changes: Any) -
     else:
         fit, inputs = fit_campaign(given), given.hashes
     master = from_fit(replace(fit, accepted=accept), inputs=inputs, **changes)
-    notes = tuple(f"{name} wheel, check {check.name} failed: {check.sentence}" for name, check in fit.failed_checks)
-    return Source(master, notes)
+    return Source(master, _doubts(master))
+
+
+def _doubts(file: CoefficientFile) -> tuple[str, ...]:
+    return tuple(f"a check of the law failed: {failed}" for failed in file.failed_checks)
 
 
 def _is_coefficients(path: Path) -> bool:

@@ -116,6 +116,8 @@ class CoefficientFile(Section):
     assumed: list[str] = Field(default_factory=list)
     inputs: list[InputFile] = Field(default_factory=list)
     accepted_implausible: AcceptedSection | None = None
+    #: of the law, each with its sentence; left out of the file where all passed
+    failed_checks: list[str] = Field(default_factory=list)
     checksum: Annotated[str, Field(pattern="^sha256:[0-9a-f]{64}$")]
 
     @model_validator(mode="after")
@@ -135,7 +137,7 @@ class CoefficientFile(Section):
 
     def to_dict(self) -> dict[str, Any]:
         """Return the document as plain Python values, in the order of the file."""
-        return self.model_dump(mode="json")
+        return self.model_dump(mode="json", exclude=None if self.failed_checks else {"failed_checks"})
 
     def to_bytes(self) -> bytes:
         """Return the file's content: UTF-8 JSON; the same bytes for the same content."""

@@ -79,7 +79,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         RadiusLaw(left=left, right=right),
         observations.vehicle,
         campaign.encoder,
-        Header(campaign.name, campaign.simulated, "clamp", inputs=campaign.hashes),
+        Header(campaign.name, campaign.simulated, inputs=campaign.hashes),
         load_table=load_points(*observations.loads_N),
         effects=[*given, *sections],
         noise=PoseNoise(track_std_m=per_track * float(np.sqrt(covariance[4, 4]))),

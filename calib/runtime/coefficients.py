@@ -58,7 +58,7 @@ class Coefficients:
 
     `outside`: ``refuse`` or ``clamp`` a load that was not measured; `load_table`: name -> wheel loads (left, right);
     `cross_covariance`: numbers in `JOINT` of parameters estimated together, and their covariance; `unapplied_effects`:
-    of the simulator's model, that this odometry lacks.
+    of the simulator's model, that this odometry lacks; `failed_checks`: what makes the law doubtful, as sentences.
     """
 
     name: str
@@ -86,6 +86,7 @@ class Coefficients:
     load_table: dict[str, tuple[float, float]]
     cross_covariance: tuple[tuple[int, int, float], ...]
     unapplied_effects: tuple[str, ...]
+    failed_checks: tuple[str, ...] = ()
 
     @classmethod
     def read(cls, path: str | Path) -> "Coefficients":
@@ -143,6 +144,7 @@ class Coefficients:
             load_table=table,
             cross_covariance=_cross_covariance(document),
             unapplied_effects=tuple(str(item.get("effect")) for item in _parts(document, "effects")),
+            failed_checks=tuple(map(str, document.get("failed_checks") or ())),
             **_numbers(cls, vehicle=("vehicle", own), noise=("noise", noise), limits=("limits", limits)),
         )
         for side, wheel in (("left", coefficients.left), ("right", coefficients.right)):

@@ -91,8 +91,9 @@ class Odometer:
     ----------
     coefficients : Coefficients
         What `Coefficients.read` returns.
-    band : {"mean", "prediction"}
-        Whether the covariance holds the uncertainty of the law alone, or also the scatter of single runs about it.
+    band : {"prediction", "mean"}, optional
+        Whether the covariance also holds the scatter of single runs about the law, as that of a journey does, or the
+        uncertainty of the law alone; the default is that of a journey where the file has the scatter.
     max_step_m, max_gap_s : float, optional
         Limits of a plausible sample, in place of the file's.
     """
@@ -101,11 +102,12 @@ class Odometer:
         self,
         coefficients: Coefficients,
         *,
-        band: str = "mean",
+        band: str | None = None,
         max_step_m: float | None = None,
         max_gap_s: float | None = None,
     ) -> None:
         scatters = coefficients.left.residual_std_m > 0.0
+        band = band or ("prediction" if scatters else "mean")
         if band not in ("mean", "prediction")[: 1 + scatters]:
             more = "'prediction'" if scatters else "a file with the scatter of single runs"
             raise CoefficientError(f"band: found {band!r}; expected 'mean' or {more}")
@@ -121,7 +123,7 @@ class Odometer:
         self.reset()
 
     @classmethod
-    def from_file(cls, path: str | Path, *, band: str = "mean") -> "Odometer":
+    def from_file(cls, path: str | Path, *, band: str | None = None) -> "Odometer":
         """Return the odometer of the coefficient file at `path`."""
         return cls(Coefficients.read(path), band=band)
 

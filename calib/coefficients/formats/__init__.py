@@ -173,11 +173,12 @@ def assumed_note(file: "CoefficientFile") -> tuple[str, ...]:
 
 
 def accepted_lines(file: "CoefficientFile") -> list[str]:
-    """Return why a law beyond the bounds of its vehicle was passed on, and what is beyond them; else nothing."""
-    accepted = file.accepted_implausible
+    """Return what makes a law doubtful, and why one beyond the bounds of its vehicle was passed on; else nothing."""
+    accepted, doubts = file.accepted_implausible, [f"DOUBTFUL: {ascii_line(one)}" for one in file.failed_checks]
     if accepted is None:
-        return []
+        return doubts
     return [
+        *doubts,
         f"IMPLAUSIBLE, passed on with the reason: {ascii_line(accepted.reason)}",
         *(f"found: {ascii_line(finding)}" for finding in accepted.findings),
     ]

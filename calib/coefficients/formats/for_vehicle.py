@@ -203,6 +203,8 @@ def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifac
         cells["effects_not_in_table"] = [" ".join(effect.effect for effect in file.effects)] * len(pairs)
     if file.accepted_implausible is not None:
         cells["accepted_implausible"] = [file.accepted_implausible.reason] * len(pairs)
+    if file.failed_checks:
+        cells["failed_checks"] = [" | ".join(file.failed_checks)] * len(pairs)
     text = csv_text(list(cells), zip(*cells.values(), strict=True))
     return (Artifact("radius_table.csv", text.encode("utf-8", "backslashreplace")),)
 
@@ -310,7 +312,9 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
     reading = (0.25 * float(count.sum()), float(count.sum()) / track**2)
-    return _diagonals(file, rates, law.covariance_at(loads, file.vehicle.track_std.value), reading)
+    # of one journey: the scatter of single runs about the law is in it
+    scatter = np.diag([*(wheel.residual_std.value**2 for _, wheel in file.wheels), 0.0])
+    return _diagonals(file, rates, law.covariance_at(loads, file.vehicle.track_std.value) + scatter, reading)
 
 
 def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:

@@ -101,7 +101,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         credible_sets=confounding.credible_sets(evidence, () if kind in NOTHING_NAMED else confounded),
         groups=tuple(map(tuple, tied_with(causes, tied))),
         where=evidence.where,
-        closure=closure,
+        closure=fix.closure or closure,
         unexplained=None if kind in NO_GAP_SHOWN and not situation.faults else unexplained,
         fix=_of_sound_data(replace(fix, moves=moved(evidence, fix, causes)), situation, causes) if causes else fix,
         notes=(*evidence.observations.notes, *situation.notes, *_on_causes(evidence, causes, small)),

@@ -228,6 +228,8 @@ class Fix:
     moves: Mapping[str, Quantity] = field(default_factory=dict)
     #: what it corrects by; None: the fit of all causes
     fitted: Fitted | None = field(default=None, metadata={"json": False})
+    #: what it closes where it is not all that is fitted; None: what that closes
+    closure: Closure | None = field(default=None, metadata={"json": False})
 
 
 @dataclass(frozen=True, slots=True)

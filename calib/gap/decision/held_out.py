@@ -1,5 +1,6 @@
 """Held-out validation: how far the gap shrinks on runs not fitted on, and where the correction helps."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -114,6 +115,8 @@ class HeldOut:
     floor: FloatArray  #: standard deviation of each channel by replicates
     closure: Closure
     improvement: Improvement | None = None  #: None where no run was held out
+    #: of other residuals (n_units, n_channels) in place of `after`, with what was held out in turn
+    closing: Callable[[FloatArray, str], Closure] | None = None
 
 
 def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArray, str]:
@@ -161,9 +164,13 @@ def measure_closure(
     before = residuals(nominal, nominal)
     after, by = left_with_others(left_out, sessions=sessions)
     stated = measured_gap(nominal, nominal) if as_counted is None else as_counted
-    held_out = closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
+
+    def closing(after: FloatArray, by: str) -> HeldOut:
+        return closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
+
     measured = before if as_counted is None else as_counted
-    return replace(held_out, improvement=_improvement(left_out, measured, after, floor_factor))
+    improvement = _improvement(left_out, measured, after, floor_factor)
+    return replace(closing(after, by), improvement=improvement, closing=lambda *other: closing(*other).closure)
 
 
 def left_with_others(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArray, str]:

@@ -1,6 +1,6 @@
 """The fix of the sure causes, where that of all is not recommended."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Final
@@ -12,7 +12,7 @@ from calib.gap.decision import fix as rule
 from calib.gap.decision.causes import Finding, jointly_zero
 from calib.gap.decision.constancy import half_of_steps
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
-from calib.gap.decision.held_out import Improvement, improvement_of
+from calib.gap.decision.held_out import Improvement, improvement_of, left_with_others
 from calib.gap.effects import Family
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.quantities import session_steps
@@ -62,7 +62,7 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     beyond = [*apart, *others, *rule.unsized(evidence, sure), *_odd(evidence, kept, beside)]
     # the calibration that a dropped cause looks like is moved only where nothing else helps
     for acting in (names, {*names, *evidence.search.effects}):
-        fitted, improvement, tried, worse = _tried(evidence, names, beside, acting)
+        left_out, improvement, tried, worse = _tried(evidence, names, beside, acting)
         left = () if dropped else rule.remaining(improvement, unexplained)
         odds = rule.needed(improvement) if by_odds else ()
         helpful = [*rule.unhelpful(improvement), *rule.oversized(kept, improvement)]
@@ -82,7 +82,7 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
         why=(),
         corrects=tuple(sorted(names, key=[cause.effect for cause in causes].index)),
         leaves=tuple(dropped.values()),
-        fitted=fitted,
+        fitted=left_out.fitted,
     )
 
 
@@ -114,19 +114,24 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     names = {cause.effect for cause in found.causes}
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
         return fix
-    fitted, improvement, tried, _ = _tried(evidence, names, (), names)
+    left_out, improvement, tried, _ = _tried(evidence, names, (), names)
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
     # what would move by nothing beyond noise takes no part of the gap
     acts = bool(unnamed) or not _others_at_zero(evidence, names)
     rest = f"the rest is what {beside} would take"
-    left = (*rule.remaining(improvement, found.unexplained, rest), *_resized(evidence, fitted)) if acts else ()
+    left = (*rule.remaining(improvement, found.unexplained, rest), *_resized(evidence, left_out.fitted)) if acts else ()
     why = (*rule.unhelpful(improvement), *left, *rule.harm(tried))
     if why:
         lead = f"without {unnamed}, which is not named" if unnamed else "with no other change of radii and track"
         return replace(fix, recommended=False, why=tuple(f"{lead}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in found.causes)
-    return replace(fix, corrects=corrects, fitted=fitted, held_out=improvement, transfer=tried)
+    closure = evidence.held_out.closing and evidence.held_out.closing(
+        *left_with_others(left_out, sessions=_by_session(evidence, names))
+    )
+    return replace(
+        fix, corrects=corrects, fitted=left_out.fitted, held_out=improvement, transfer=tried, closure=closure
+    )
 
 
 def _resized(evidence: Evidence, fitted: Fitted) -> Iterator[str]:
@@ -169,7 +174,7 @@ def _moved_by(evidence: Evidence, names: Collection[str]) -> set[str]:
 
 def _tried(
     evidence: Evidence, names: Collection[str], stepping: Collection[str], acting: Collection[str]
-) -> tuple[Fitted, Improvement, tuple[Trial, ...], tuple[str, ...]]:
+) -> tuple[HeldOutFit, Improvement, tuple[Trial, ...], tuple[str, ...]]:
     forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
     along = _along(evidence, acting)
     fitted = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)
@@ -177,11 +182,15 @@ def _tried(
     before, as_counted = residuals(evidence.nominal, evidence.nominal), evidence.situation.as_counted
     steps = left_out.contribution(stepping)
     stated = (before if as_counted is None else as_counted) - steps
-    sessions = not any(evidence.effects[name].per_session for name in (*names, *stepping))
+    sessions = _by_session(evidence, (*names, *stepping))
     improvement = improvement_of(left_out, sessions=sessions, stated=stated)
     tried = trials(left_out, before - steps)
     worse = _worse_sessions(evidence, left_out, before, fitted.left + steps)[:1] if stepping else ()
-    return fitted, improvement, tried, tuple(worse)
+    return left_out, improvement, tried, tuple(worse)
+
+
+def _by_session(evidence: Evidence, names: Iterable[str]) -> bool:
+    return not any(evidence.effects[name].per_session for name in names)
 
 
 def _worse_sessions(evidence: Evidence, left_out: HeldOutFit, before: FloatArray, alone: FloatArray) -> list[str]:

@@ -134,9 +134,7 @@ def next_runs(
     kept = {*first, 0} if later or set(first.values()) & {_OF_LAW, _BOTH_WAYS} else {*first}
     chosen, beside = _needed(task, chosen, kept, most - len(later) * (most != 2))
     later = later[: most - len(chosen)]
-    # a session of new routes alone could be a step of that session
-    fresh = [_count(driven, replace(runs[n], tape=False)) > 1 for n in (0, *chosen, *later)]
-    if task.tied and fresh[1:] and all(fresh[1:]) and not fresh[0] and len(chosen) < most:
+    if task.tied and len(chosen) < most and _all_new(driven, [runs[n] for n in (0, *chosen, *later)]):
         chosen, runs[0] = [*chosen, 0], replace(unladen, count=1)
     proposed, steps = list[PlannedRun](), task.of([[*beside, *chosen[:place]] for place in range(len(chosen) + 1)])
     for n, before, after in zip(chosen, steps, steps[1:], strict=False):
@@ -146,6 +144,12 @@ def next_runs(
     proposed += [replace(runs[n], why=_OF_LAW) for n in later]
     runs = sorted(proposed, key=lambda run: run.why == _BESIDE)
     return [_stated(run, dimensions, by_laser=measured.distance) for run in runs]
+
+
+def _all_new(driven: Campaign, runs: Sequence[PlannedRun]) -> bool:
+    # but the first: a session of new routes alone could be a step of that session
+    known, *new = [_count(driven, replace(run, tape=False)) == 1 for run in runs]
+    return known and bool(new) and not any(new)
 
 
 def _best(task: Task, after: Sequence[FloatArray], runs: Sequence[PlannedRun], usual_mps: float) -> int:
