@@ -43,6 +43,8 @@ def left_open(uncertainty: Uncertainty, parameters: Parameters) -> tuple[str, ..
 
     `uncertainty`: allows for shared noise. Of data alone the mean radius is open where the nominal one is as good.
     """
+    from scipy.special import stdtrit
+
     names, spread, pull = parameters.free_names, parameters.prior_std[parameters.free], parameters.pull
     before = np.sqrt(np.diag(np.linalg.inv(pull.T @ pull))) if parameters.pulled else np.ones(len(spread))
     rows = [name for name, ratio in zip(names, uncertainty.std / spread / before, strict=True) if ratio > TOLERATED]
@@ -50,11 +52,17 @@ def left_open(uncertainty: Uncertainty, parameters: Parameters) -> tuple[str, ..
     mean = float(np.sqrt(radii @ uncertainty.covariance @ radii)) / max(
         float(parameters.nominal[parameters.free] @ radii), 1e-300
     )
+    freedom = uncertainty.freedom
+    dof = float(uncertainty.free[radii].min(initial=np.inf)) if freedom is None else freedom.of(radii * 1.0)
+    # by the 95 % interval: a standard deviation from hardly any runs is itself unknown
+    mean *= float(stdtrit(min(dof, MANY), 0.975) / stdtrit(MANY, 0.975))
     if radii.sum() > 1 and mean > NOMINAL_STD * (TOLERATED if parameters.pulled else 1.0):
         rows.append(MEAN_RADIUS)
     return tuple(rows)
 
 
+#: degrees of freedom, as good as any number
+MANY: Final = 1e6
 #: a delay is sought where samples are at most so far apart
 LONGEST_STEP_S: Final = 0.25
 #: loads that vary by less than this part of their mean say nothing of a slope
