@@ -118,8 +118,8 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     useless = found.held_out > USELESS_SHARE * found.before
     small = max(LACK_OF_FIT * found.expected, SMALL_SHARE * found.travelled)
     worst = max(found.after, found.held_out)
-    # a calibrated vehicle leaves nothing to explain: what is left is noise, and a small share of its way
-    unexplained = useless and worst > min(small, WRONG_SHARE * travelled)
+    # a calibrated vehicle leaves nothing to explain: most of what is left is noise, or a small share of its way
+    unexplained = useless and worst > max(math.sqrt(2.0) * found.noise, SMALL_SHARE * travelled)
     if min(found.noise, found.before) > unusual and unexplained:
         scatter = f"stretches of the same wheel motion scatter by {few_digits(1e3 * found.noise)} {unit}"
         reason = f"{what}: nothing of {before} is explained, and {scatter}"

@@ -54,15 +54,16 @@ def left_open(uncertainty: Uncertainty, parameters: Parameters) -> tuple[str, ..
     )
     freedom = uncertainty.freedom
     dof = float(uncertainty.free[radii].min(initial=np.inf)) if freedom is None else freedom.of(radii * 1.0)
-    # by the 95 % interval: a standard deviation from hardly any runs is itself unknown
-    mean *= float(stdtrit(min(dof, MANY), 0.975) / stdtrit(MANY, 0.975))
+    # a standard deviation from hardly any runs is itself unknown: as wide as one that is known
+    mean *= float(stdtrit(min(dof, MANY), ONE_SD))
     if radii.sum() > 1 and mean > NOMINAL_STD * (TOLERATED if parameters.pulled else 1.0):
         rows.append(MEAN_RADIUS)
     return tuple(rows)
 
 
-#: degrees of freedom, as good as any number
+#: degrees of freedom, as good as any number; probability below one standard deviation above the mean
 MANY: Final = 1e6
+ONE_SD: Final = 0.8413447460685429
 #: a delay is sought where samples are at most so far apart
 LONGEST_STEP_S: Final = 0.25
 #: loads that vary by less than this part of their mean say nothing of a slope

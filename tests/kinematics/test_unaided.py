@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
+from calib.kinematics.drives import Parameter, Parameters
 from calib.kinematics.estimate import estimate_geometry
+from calib.kinematics.joint_fit import MEAN_RADIUS, left_open
 from calib.kinematics.result import GeometryVerdict
+from calib.kinematics.uncertainty import Uncertainty
 from tests.campaign.making import with_numbers
 from tests.kinematics.campaigns import Truth, square
 from tests.kinematics.unaided import Drive, Gyro, unaided
@@ -111,3 +114,13 @@ def test_a_gyro_of_another_sense_or_unit_is_named_as_such(scale: float, words: s
     fault, *_ = estimate_geometry(unaided(runs, TRUTH, Gyro(scale=scale), rng)).faults
     assert words in fault.text
     assert "gyro_z_radps" in fault.text and "ref_" not in fault.text
+
+
+@pytest.mark.parametrize(("dof", "is_open"), [(1.0, True), (20.0, False)])
+def test_a_mean_radius_from_hardly_any_runs_is_open(dof: float, is_open: bool) -> None:
+    """0.8 % from one degree of freedom is 1.5 % as a normal law's: no better than the nominal radius."""
+    items = (Parameter("radius_left_m", 0.05, 0.005), Parameter("radius_right_m", 0.05, 0.005))
+    parameters = Parameters.of(items, [item.name for item in items])
+    covariance, free = np.full((2, 2), (0.008 * 0.05) ** 2), np.full(2, dof)
+    uncertainty = Uncertainty(covariance, free, "run", 8, np.sqrt(np.diag(covariance)), np.zeros(2))
+    assert (MEAN_RADIUS in left_open(uncertainty, parameters)) is is_open
