@@ -1,12 +1,15 @@
 """The kind of verdict by gap probability, causes and closure, and the decision's thresholds."""
 
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from math import sqrt
 from typing import Final
 
 import numpy as np
 
+from calib.campaign.model import Campaign
+from calib.errors import CalibError
 from calib.gap.decision import Trial, most_square, reach_of_noise
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Unexplained, VerdictKind
 from calib.gap.decision.held_out import RERUN, Closure, Improvement, end_rms_m
@@ -146,6 +149,24 @@ def kept_back(found: Diagnosis, nominal: Path, noise: Noise) -> Diagnosis:
     ends = "windows of the recordings" if seen.windowed else "whole runs"
     why = f"{ends} end {sizes[1]} mm off with it, {sizes[0]} mm without; 'calib plan' names the runs that tell"
     return replace(found, fix=replace(found.fix, recommended=False, why=(why, *found.fix.why)))
+
+
+#: blunders that 'calib geometry' names and no effect says
+OF_A_PATH: Final = frozenset(("ref_x_m", "ref_theta_rad"))
+OF_REFERENCE: Final = ("axis_scale", "heading_scale")
+
+
+def of_sound_reference(found: Diagnosis, campaign: Campaign) -> Diagnosis:
+    """Return a diagnosis, its fix not recommended where `calib geometry` names an unlike scale of the reference."""
+    from calib.kinematics.estimate import estimate_geometry
+
+    if not found.recommended or not OF_A_PATH.intersection(campaign.logs.columns):
+        return found
+    with suppress(CalibError):
+        faults = [fault.text for fault in estimate_geometry(campaign).faults if fault.code in OF_REFERENCE]
+        why = tuple(f"{text}: correct this first" for text in faults)
+        found = replace(found, fix=replace(found.fix, recommended=not why, why=(*why, *found.fix.why)))
+    return found
 
 
 def with_left(diagnosis: Diagnosis) -> Diagnosis:

@@ -34,14 +34,16 @@ class TurnedReference:
     yaw_rad: float
     sd_rad: float  #: standard uncertainty of the angle
     mirrored: bool = False  #: whether y has to be mirrored first
-    clockwise: bool = False  #: and headings with it
+    clockwise: bool = False  #: and headings
     probability: ClassVar[float] = 1.0
 
     @property
     def label(self) -> str:
         """What is wrong with the axes."""
-        if not self.mirrored or self.clockwise:
-            return "y and headings are mirrored" if self.clockwise else "the sensor is mounted turned"
+        if self.clockwise:
+            return "y and headings are mirrored" if self.mirrored else "headings are clockwise"
+        if not self.mirrored:
+            return "the sensor is mounted turned"
         quarter = abs(abs(self.yaw_rad) - np.pi / 2.0) < MIN_TURN_RAD
         return "x and y are exchanged" if quarter else "the axes are mirrored"
 
@@ -49,6 +51,8 @@ class TurnedReference:
     def remark(self) -> str:
         """What to do about it."""
         state = f"state sensor_yaw_rad = {self.yaw_rad:.4f} in [reference] of campaign.toml"
+        if self.clockwise and not self.mirrored:
+            return "left turns are positive: change the sign of ref_theta_rad, then diagnose again"
         if not self.mirrored:
             return f"{state}, then diagnose again"
         if self.clockwise:
@@ -71,9 +75,9 @@ class TurnedReference:
 
     def correct(self, campaign: Campaign) -> Campaign:
         """Return the campaign with the sensor's yaw stated, y mirrored where that is needed."""
-        if self.mirrored:
+        if self.mirrored or self.clockwise:
             runs, logs = campaign.runs, campaign.logs
-            mirrored = ("ref_y_m", "ref_theta_rad")[: 1 + self.clockwise]
+            mirrored = ("ref_y_m",) * self.mirrored + ("ref_theta_rad",) * self.clockwise
             numbers, columns = (
                 {name: -values if name in mirrored else values for name, values in each.items()}
                 for each in (runs.numbers, logs.columns)
