@@ -98,7 +98,7 @@ def _sensor(diagnosis: Diagnosis, stated: Reference) -> dict[str, float]:
     """Return the sensor's place and yaw where found or believed elsewhere; refused where the data are mirrored."""
     situation = diagnosis.arrays.situation
     for fault in situation.faults:
-        if isinstance(fault, TurnedReference) and fault.mirrored:
+        if isinstance(fault, TurnedReference) and (fault.mirrored or fault.clockwise):
             raise RefusedError(f"{diagnosis.campaign}: no model corrects a mirrored reference; {fault.remark}")
     believed = situation.campaign.reference
     return {} if believed == stated else {name: float(getattr(believed, name)) for name in SENSOR_PLACES}

@@ -18,7 +18,7 @@ from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation, VerdictKind
 from calib.gap.decision.held_out import measure_closure
-from calib.gap.decision.kind import fails, kept_back, of_sound_reference, open_questions, tells_more, with_left
+from calib.gap.decision.kind import OF_A_PATH, fails, kept_back, of_sound_reference, open_questions, tells_more, with_left
 from calib.gap.decision.sought import Sought, lone_recordings, lone_run, refuse_copied, without_runs
 from calib.gap.effects import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
@@ -85,11 +85,13 @@ def diagnose_in_full(
     judge = partial(_judged, given, (seed, model_name, candidates, journeys), progress)
     diagnosis = judge(sought, situation)
     doubtful = not diagnosis.recommended and diagnosis.kind is not VerdictKind.NO_GAP
-    if own and found.windowed and doubtful and (lone := lone_recordings(situation)):
+    unknown = diagnosis.kind is VerdictKind.UNKNOWN and bool(OF_A_PATH.intersection(campaign.logs.columns))
+    if own and doubtful and (found.windowed or unknown) and (lone := lone_recordings(situation)):
         others = without_runs(campaign, lone)
         judged = partial(_judged, others, (seed, model_name, candidates, journeys), progress)
         again = judged(sought, replace(sought.situation(others), omitted=lone))
-        if again.recommended or again.kind is VerdictKind.NO_GAP or not diagnosis.causes:
+        named = again.kind is not VerdictKind.UNKNOWN if unknown else not diagnosis.causes
+        if again.recommended or again.kind is VerdictKind.NO_GAP or named:
             given, judge, diagnosis = others, judged, again
     unsure = all(cause.probability < EVEN_PROBABILITY for cause in diagnosis.causes)
     if own and not found.windowed and (unsure or diagnosis.recommended):

@@ -19,6 +19,8 @@ from calib.plant.design import good_design
 from calib.plant.make import make_campaign
 from calib.reporting.topics.diagnosis import after_diagnosis
 from calib.types import FloatArray
+from tests.kinematics.campaigns import Truth, both_ways, campaign
+from tests.kinematics.test_named_blunders import changed, in_map
 
 Columns = dict[str, FloatArray]
 
@@ -202,3 +204,19 @@ def test_no_gap_beside_a_run_that_no_noise_takes_so_far_is_no_all_clear() -> Non
     assert after_diagnosis(verdict) == "diagnose wrong"
     clear = verdict_on(1, 32)
     assert (clear.kind, clear.correct_first) == (VerdictKind.NO_GAP, ())
+
+
+def test_headings_of_the_other_sense_are_told_from_counters_that_run_backwards() -> None:
+    """Closed squares end alike with either; the course along the way does not."""
+    made = campaign(both_ways(4), Truth(), np.random.default_rng(1), along=True, samples=80)
+    found = diagnose_in_full(changed(made, lambda log: log | clockwise(log)), plan=False)
+    assert [text.partition(":")[0] for text in found.correct_first] == ["headings are clockwise"]
+
+
+@pytest.mark.parametrize("longer", [1.0, 1.02])
+def test_no_fix_is_recommended_beside_an_axis_that_is_too_long(longer: float) -> None:
+    """No effect of the library says it: radii and track would take half of it each."""
+    made = in_map(8, lambda log: log | {"ref_x_m": longer * log["ref_x_m"]}, samples=400)
+    found = diagnose_in_full(made, plan=False)
+    assert found.recommended is (longer == 1.0)
+    assert any("ref_x_m: distances along this axis" in text for text in found.fix.why) is (longer > 1.0)

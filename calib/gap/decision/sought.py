@@ -18,6 +18,7 @@ from calib.gap.decision.diagnosis import Situation
 from calib.gap.effects import Effect, forms_on
 from calib.gap.effects.encoder import (
     BAD_RUN_RATIO,
+    BLUNDER_MISFIT,
     BLUNDER_RESIDUAL_SHARE,
     MOST_BAD_RUNS,
     Blunder,
@@ -175,15 +176,17 @@ class Sought:
         """
         nominal = predict(observations)
         fault = None if EncoderBlunder.id in self.exclude else find_blunder(observations, nominal)
-        if fault is None:
+        if fault is None and (faults or float(np.mean(misfit(nominal))) < BLUNDER_MISFIT):
             return Situation(campaign, observations, notes, faults, as_counted)
         if as_counted is None:
             as_counted = measured_gap(nominal, nominal)
-        right = corrected(observations, fault)
         if not faults and self._is_clockwise(campaign, fault):
             clockwise = TurnedReference(0.0, 0.0, clockwise=True)
             turned = clockwise.correct(campaign)
             return Situation(turned, *self._observed(turned, self.applied), (clockwise,), as_counted)
+        if fault is None:
+            return Situation(campaign, observations, notes, faults)
+        right = corrected(observations, fault)
         if fault.swapped and not faults:
             # the same to any data but for the place of the sensor, and radii or loads of left and right that differ
             mirror = TurnedReference(0.0, 0.0, mirrored=True, clockwise=True)
@@ -197,15 +200,16 @@ class Sought:
                 return Situation(turned, seen, said, (mirror,), as_counted)
         return Situation(campaign, right, notes, (*faults, fault), as_counted)
 
-    def _is_clockwise(self, campaign: Campaign, fault: Blunder) -> bool:
+    def _is_clockwise(self, campaign: Campaign, fault: Blunder | None) -> bool:
         # ends of closed paths do not tell counts from headings of the other sense; their course does
         along = replace(self, into_windows=True)
         windows, turned = (
             along._observed(each, self.applied)[0]
             for each in (campaign, TurnedReference(0.0, 0.0, clockwise=True).correct(campaign))
         )
-        by_counts, by_headings = (float(np.mean(misfit(predict(s)))) for s in (corrected(windows, fault), turned))
-        return windows.windowed and by_headings < BLUNDER_RESIDUAL_SHARE * by_counts
+        by_counts = windows if fault is None else corrected(windows, fault)
+        counted, clocked = (float(np.mean(misfit(predict(s)))) for s in (by_counts, turned))
+        return windows.windowed and clocked < BLUNDER_RESIDUAL_SHARE * counted
 
     def _observed(self, campaign: Campaign, applied: Sequence[EffectSection]) -> tuple[Observations, tuple[str, ...]]:
         observations = observations_of(campaign, self.model, into_windows=self.into_windows)
