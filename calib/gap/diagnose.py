@@ -18,7 +18,15 @@ from calib.gap.decision.confounding import apart_on
 from calib.gap.decision.decide import decide
 from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evidence, Situation, VerdictKind
 from calib.gap.decision.held_out import measure_closure
-from calib.gap.decision.kind import OF_A_PATH, fails, kept_back, of_sound_reference, open_questions, tells_more, with_left
+from calib.gap.decision.kind import (
+    OF_A_PATH,
+    fails,
+    kept_back,
+    of_sound_reference,
+    open_questions,
+    tells_more,
+    with_left,
+)
 from calib.gap.decision.sought import Sought, lone_recordings, lone_run, refuse_copied, without_runs
 from calib.gap.effects import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit

@@ -75,7 +75,8 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     faults = (*faults, *factor_faults(ratios, campaign.vehicle.drive, model.recording.speeds))
     if source == "rear":
         faults = (*faults, *still_counters(model.recording, model.motion(values).body[2]))
-    faults = (*faults, *(Fault("counts_lost", note.sentence, seen=True) for note in interrupted_counts(campaign)))
+    lost = (note.sentence.rstrip(".") for note in interrupted_counts(campaign))
+    faults = (*faults, *(Fault("counts_lost", text, seen=True) for text in lost))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     left = np.where(seen := whole.segments.seen, after.residuals, np.nan)

@@ -278,24 +278,43 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
 
 #: so often in a log, between steps alike to this share and of so many counts, a wheel does not stop and start at once
 _STOPS, _ALIKE_STEPS, _ROLLING = 5, 0.25, 20
+_GAP: Final = 1.5  #: steps of so many times the usual time lack a row
 
 
 def interrupted_counts(campaign: Campaign) -> Iterator[Note]:
-    """Yield counts that stand still again and again between samples at full speed, and are never made up for."""
-    stops = {name: list[tuple[int, float]]() for name in campaign.logs.columns if name.startswith("counts_")}
-    n_logs = 0
-    for _, log in campaign.logs.each(20):
-        n_logs += 1
-        for name in stops.keys() & log.keys():
-            times, share = _interruptions(np.abs(np.diff(log[name])), log)
-            stops[name] += [(times, share)] if times >= _STOPS else []
-    odd = [name for name in stops if len(stops[name]) >= max(checks.LEAST_RUNS, checks.MOST_OF_THE_RUNS * n_logs)]
-    if odd:
-        times, share = np.median([each for name in odd for each in stops[name]], axis=0)
-        text = f"""the counts stand still {times:.0f} times a log, for {100 * share:.2g} % of the way, in
-            {max(len(stops[name]) for name in odd)} of {n_logs} logs, between samples at full speed; expected counts as
-            long as it rolls; steps are lost before they are added up: check encoder and cable, log the total"""
-        yield checks.implausible_column(", ".join(odd), text, of="logs")
+    """Yield counts that stand still again and again at full speed, or lack rows, and are never made up for."""
+    for lost, what, why in (
+        (_interruptions, "the counts stand still", "steps are lost before they are added up: check encoder and cable"),
+        (_missing_rows, "rows are missing", "increments of a missing row are in no other"),
+    ):
+        stops = {name: list[tuple[int, float]]() for name in campaign.logs.columns if name.startswith("counts_")}
+        n_logs = 0
+        for _, log in campaign.logs.each(20):
+            n_logs += 1
+            for name in stops.keys() & log.keys():
+                times, share = lost(np.abs(np.diff(log[name])), log)
+                stops[name] += [(times, share)] if times >= _STOPS else []
+        odd = [name for name in stops if len(stops[name]) >= max(checks.LEAST_RUNS, checks.MOST_OF_THE_RUNS * n_logs)]
+        if odd:
+            times, share = np.median([each for name in odd for each in stops[name]], axis=0)
+            some = max(len(stops[name]) for name in odd)
+            text = f"""{what} {times:.0f} times a log, for {100 * share:.2g} % of the way, in {some} of {n_logs} logs,
+                between samples at full speed; expected counts as long as it rolls; {why}; log the total"""
+            yield checks.implausible_column(", ".join(odd), text, of="logs")
+
+
+def _missing_rows(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int, float]:
+    step_s = np.diff(log.get("t_s", np.arange(len(step) + 1.0)))
+    usual_s = float(np.median(step_s))
+    gaps = np.flatnonzero(step_s[1:-1] > _GAP * usual_s) + 1
+    before, after = (step[gaps + side] / np.maximum(step_s[gaps + side], 1e-12) for side in (-1, 1))
+    rate, counted = 0.5 * (before + after), float(step[gaps].sum())
+    # late steps hold as many counts as others, not those of their time
+    through, once = float(rate @ step_s[gaps]), float(rate.sum()) * usual_s
+    # as many short steps as long ones: stamps that scatter
+    late = len(gaps) > 2 * (step_s < (2.0 - _GAP) * usual_s).sum()
+    lost = late and _ROLLING * len(gaps) < 2.0 * once and counted < 0.5 * (through + once)
+    return (len(gaps), (through - counted) / float(step.sum())) if lost else (0, 0.0)
 
 
 def _interruptions(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int, float]:

@@ -24,7 +24,7 @@ CUT_COLUMN: Final = "cut"
 _LEAST_LAG_SAMPLES: Final = 20
 #: at this spacing noise hardly lengthens a travelled distance
 _POSE_SPACING_S: Final = 0.1
-Lines = Mapping[str, MappedColumn]
+Lines, Columns = Mapping[str, MappedColumn], dict[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,6 +76,7 @@ def read_mapped(files: Mapping[str, Path], mapping: LabMapping, settings: Campai
     border.notes.extend(raw.notes)
     columns, epoch = _renamed(raw, lines, shown, border)
     if "t_s" in columns:
+        columns = _rows_once(columns, lines, shown, border)
         _to_counts(columns, lines, settings, shown, border)
     logs.refuse_incomplete(columns, shown, raw.line)
     logs.omit_lost_frames(columns, REFERENCE_POSE, shown, border)
@@ -269,6 +270,18 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, settings: Campaign,
         elif kind != "counts":
             steps = 0.5 * (values[1:] + values[:-1]) * np.diff(columns["t_s"])
             columns[name] = np.concatenate(([0.0], np.cumsum(steps))) * counts
+
+
+def _rows_once(columns: Columns, lines: Lines, shown: str, border: Border) -> Columns:
+    # a row of increments written twice adds no counts
+    if not any(name in lines and lines[name].wheel_unit == "counts/sample" for name in columns):
+        return columns
+    rows = np.nan_to_num(np.stack([*columns.values()]))
+    if (twice := np.append(False, (np.diff(rows) == 0.0).all(axis=0))).any():
+        text = f"{int(twice.sum())} row(s) written twice, with the same time and cells, were taken once"
+        border.say(shown, text, "repeated_rows", level="suspicious")
+        columns = {name: values[~twice] for name, values in columns.items()}
+    return columns
 
 
 def _refuse_other_units(name: str, line: MappedColumn, shown: str) -> None:

@@ -17,6 +17,7 @@ from calib.campaign.checks.counts import (
     log_speed,
     reversed_wheels,
 )
+from calib.campaign.model import Logs
 from calib.campaign.read import read_campaign
 from tests.campaign.making import campaign, with_log_columns, with_numbers
 from tests.kinematics import campaigns as driven
@@ -187,6 +188,29 @@ def test_counts_that_stand_still_between_samples_at_full_speed_are_lost(what: st
     assert [note.where.count("counts_") for note in notes] == [len(sides)] * lost and all(
         9.0 <= percent <= 10.0 for percent in share
     )
+
+
+@pytest.mark.parametrize("of", ["increments", "totals", "scattered stamps"])
+def test_rows_that_are_missing_take_their_increments_along(of: str) -> None:
+    """One of ten: a total holds them in the next row, and stamps that scatter leave none out."""
+    made, rng = campaign(logs=True), np.random.default_rng(1)
+
+    def changed_log(log: Columns) -> Columns:
+        if of == "scattered stamps":
+            scatter = rng.normal(scale=0.35 * np.diff(log["t_s"]).mean(), size=len(log["t_s"]))
+            return log | {"t_s": np.sort(log["t_s"] + scatter)}
+        rows = np.arange(len(log["t_s"])) % 10 != 5
+        steps = {name: np.diff(log[name], prepend=log[name][0]) for name in ("counts_left", "counts_right")}
+        kept = {name: cells[rows] for name, cells in log.items()}
+        return kept | ({name: np.cumsum(step[rows]) for name, step in steps.items()} if of == "increments" else {})
+
+    logs = [changed_log(made.logs.of(run)) for run in range(len(made.runs))]
+    offsets = np.concatenate(([0], np.cumsum([len(log["t_s"]) for log in logs])))
+    whole = Logs(offsets, {name: np.concatenate([log[name] for log in logs]) for name in logs[0]})
+    notes = list(interrupted_counts(replace(made, logs=whole)))
+    assert ["rows are missing" in note.text for note in notes] == [True] * (of == "increments")
+    # of the counts that are left, with the ramps at the ends
+    assert all(9.0 <= float(note.text.partition("for ")[2].partition(" %")[0]) <= 12.0 for note in notes)
 
 
 @pytest.mark.parametrize(("pause_s", "ramp_s"), [(0.3, 0.5), (2.0, 1.0)])

@@ -178,7 +178,7 @@ def test_the_name_of_a_log_follows_the_pattern(file: str, run: str | None, run_i
 
 
 def test_rates_angles_and_increments_become_counts(tmp_path: Path) -> None:
-    """Five units of the same wheel: 2 turns at constant rate are 2 x 4096 counts."""
+    """Five units of the same wheel: 2 turns at constant rate are 2 x 4096 counts, also where rows are written twice."""
     time = np.linspace(0.0, 4.0, 41)
     angle = np.pi * time
     columns = {
@@ -191,8 +191,9 @@ def test_rates_angles_and_increments_become_counts(tmp_path: Path) -> None:
     for unit, values in columns.items():
         folder = tmp_path / unit.replace("/", "_")
         folder.mkdir()
-        rows = "\n".join(f"{t:.3f},{v!r},{v!r}" for t, v in zip(time, map(float, values), strict=True))
-        (folder / "a.csv").write_text("t_s,left,right\n" + rows + "\n")
+        rows = [f"{t:.3f},{v!r},{v!r}\n" for t, v in zip(time, map(float, values), strict=True)]
+        again = [row for number, row in enumerate(rows) for _ in range(1 + (number % 3 == 1))]
+        (folder / "a.csv").write_text("t_s,left,right\n" + "".join(again))
         (folder / "m.toml").write_text(
             f'[log]\ncounts_left = {{column = "left", unit = "{unit}"}}\n'
             f'counts_right = {{column = "right", unit = "{unit}"}}\n'
