@@ -24,7 +24,8 @@ CUT_COLUMN: Final = "cut"
 _LEAST_LAG_SAMPLES: Final = 20
 #: at this spacing noise hardly lengthens a travelled distance
 _POSE_SPACING_S: Final = 0.1
-Lines, Columns = Mapping[str, MappedColumn], dict[str, FloatArray]
+Lines = Mapping[str, MappedColumn]
+Columns = dict[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
