@@ -95,6 +95,17 @@ def turned_rad(campaign: Campaign, left: FloatArray | None = None, right: FloatA
 _NEAR_TURN_RAD: Final = 1.0
 
 
+def logged_turns(campaign: Campaign) -> FloatArray:
+    """Return how far the reference of each log turned, in rad, shape (n_runs,); NaN where that is not known."""
+    measured = np.full(len(campaign.runs), np.nan)
+    for run, log in campaign.logs.each():
+        if len(heading := log.get("ref_theta_rad", measured[:0])):
+            steps = np.diff(np.unwrap(heading[np.isfinite(heading)]))
+            # between poses further apart it may have turned round any number of times
+            measured[run] = steps.sum() if np.abs(steps).max(initial=0.0) < 1.0 else np.nan
+    return measured
+
+
 def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     """Return how far the reference turned in each run, and the turns it is off the wheels, infinite where not whole.
 
@@ -102,13 +113,7 @@ def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     """
     measured, turned = campaign.runs.number("ref_theta_rad"), turned_rad(campaign)
     if campaign.reference.frame == "map":
-        measured = np.full(len(turned), np.nan)
-        for run, log in campaign.logs.each():
-            if len(heading := log.get("ref_theta_rad", turned[:0])):
-                steps = np.diff(np.unwrap(heading[np.isfinite(heading)]))
-                # between poses further apart it may have turned round any number of times
-                measured[run] = steps.sum() if np.abs(steps).max(initial=0.0) < 1.0 else np.nan
-        return measured, np.nan * turned
+        return logged_turns(campaign), np.nan * turned
     turns = np.round((turned - measured) / (2 * np.pi))
     near = np.abs(turned - measured - 2 * np.pi * turns) < _NEAR_TURN_RAD
     if (np.abs(measured[near]) <= np.pi + 0.05).all():

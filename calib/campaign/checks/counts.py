@@ -16,8 +16,7 @@ from calib.campaign.read import log_totals
 from calib.campaign.wheels import steered_itself_m
 from calib.types import BoolArray, ComplexArray, FloatArray
 
-#: a radius of one run this far from nominal is reported
-_PLAUSIBLE: Final = 0.15
+_PLAUSIBLE: Final = 0.15  #: a radius of one run this far from nominal is reported
 #: no wear and no load explains that every run is further from the nominal radius alike
 _WORN: Final = 0.06
 #: loads within this share are alike
@@ -145,7 +144,8 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
 
 def turn_direction(campaign: Campaign) -> Iterator[Note]:
     """Compare the sense of turning by counts with reference heading and steering angle."""
-    turned, reference = checks.turned_rad(campaign), checks.reference_turns(campaign)[0]
+    turned, (reference, _) = checks.turned_rad(campaign), checks.reference_turns(campaign)
+    reference = np.where(np.isnan(reference), checks.logged_turns(campaign), reference)
     clear = (np.abs(reference) > 0.5) & (np.abs(turned) > 0.25)
     against = clear & (np.abs(turned + reference) < 0.3 * np.abs(turned - reference))
     yield from _turns(campaign, clear, against, "ref_theta_rad", "the reference turns the other way")
@@ -278,7 +278,7 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
 
 #: so often in a log, between steps alike to this share and of so many counts, a wheel does not stop and start at once
 _STOPS, _ALIKE_STEPS, _ROLLING = 5, 0.25, 20
-_GAP: Final = 1.5  #: steps of so many times the usual time lack a row
+_GAP: Final = 1.5  #: steps so much longer than usual lack a row
 
 
 def interrupted_counts(campaign: Campaign) -> Iterator[Note]:
