@@ -35,8 +35,7 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
         yield checks.column_note(", ".join(f"counts_{side}" for side in whole), text, "reversed_wheels")
     for side in checks.SIDES:
         for run in np.flatnonzero(backward[side]) if side not in whole else ():
-            text = f"""found {runs.number(f"counts_{side}")[run]:.0f}; expected positive counts, as in the other runs;
-                check whether the vehicle drove backward"""
+            text = "found negative counts; expected positive ones, as in other runs; check whether it drove backward"
             yield checks.cell_note(campaign, run, f"counts_{side}", text, "reversed_wheels")
 
 

@@ -18,7 +18,7 @@ from calib.campaign.settings import bracketed
 from calib.campaign.settings_file import load_toml
 from calib.errors import BadFileError
 from calib.io import inside
-from calib.types import GRAVITY_MPS2, SUFFIXES, split_suffix
+from calib.types import GRAVITY_MPS2, SUFFIXES, split_suffix, unit_named
 
 #: a column of the run table: the sheet's name, where runs stand on several
 SHEET: Final = "sheet"
@@ -112,7 +112,8 @@ class MappedColumn(_Model):
     def unit_for(self, name: str) -> str | None:
         """Return the line's unit, or one in the source's name that column `name` may have."""
         if self.unit is not None:
-            return self.unit
+            # of wheels "rad/s" stays, of all else it is a suffix
+            return self.unit if name.startswith("counts_") else unit_named(self.unit) or self.unit
         ending = split_suffix(self.column)[1] if abs(self.factor) == 1.0 else ""
         unit = unit_spelled(bracketed(self.column)[1] or ending or "")
         return unit if unit in units_for(name) or (name == "t_s" and _frames_per_s(unit)) else None
@@ -186,7 +187,8 @@ class _Section(_Model):
 
 def _check_unit(name: str, line: MappedColumn, key: str) -> None:
     units = units_for(name)
-    if line.unit not in {None, *units} and not (name == "t_s" and _frames_per_s(line.unit)):
+    unit = None if line.unit is None else line.unit_for(name)
+    if unit not in {None, *units} and not (name == "t_s" and _frames_per_s(unit)):
         expected = f"one of {', '.join(units)}" if units else f"no unit, since {name} has none"
         expected += ', or the rate of frames counted, as "50 Hz"' * (name == "t_s")
         raise _UnfitError(key, line.unit, expected)

@@ -96,3 +96,16 @@ def test_speeds_are_not_counted(names: tuple[str, str], tmp_path: Path) -> None:
     stated = [line.replace(' = "', ' = {column = "') + ', unit = "counts"}' for line in lines]
     (tmp_path / "m.toml").write_text("[log]\n" + "\n".join(stated) + "\n")
     ingest([path], tmp_path / "c", mapping=tmp_path / "m.toml")
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("rad/s", 1.0), ("deg/s", np.pi / 180.0), ("degps", np.pi / 180.0)])
+def test_a_rate_of_turn_has_its_unit_as_people_write_it(unit: str, factor: float, tmp_path: Path) -> None:
+    """Of a wheel's counts ``rad/s`` is a unit of its own; of `omega_radps` it is the suffix."""
+    rows = "".join(f"{0.05 * n:.2f},0.5,0.1\n" for n in range(100))
+    (tmp_path / "a.csv").write_text("time,v,w\n" + rows)
+    (tmp_path / "m.toml").write_text(
+        f'[log]\nt_s = "time"\nv_mps = {{column = "v", unit = "m/s"}}\nomega_radps = {{column = "w", unit = "{unit}"}}\n'
+        '[encoder]\nkind = "speed"\n'
+    )
+    made = ingest([tmp_path / "a.csv"], tmp_path / "c", mapping=tmp_path / "m.toml")
+    assert made.campaign.logs.of(0)["omega_radps"][1] == pytest.approx(0.1 * factor)
