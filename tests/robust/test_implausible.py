@@ -11,6 +11,7 @@ import pytest
 from calib.campaign.check import implausible
 from calib.campaign.read import read_campaign
 from calib.cli.main import run
+from calib.runtime import Coefficients
 from tests.robust.spoilt import FAILED, ROOT, SAID, SILENT, Case, answered, answers, cases
 
 CASES = {case.name: case for case in cases()}
@@ -61,6 +62,21 @@ def test_a_radius_off_beyond_wear_is_called_suspicious(tmp_path: Path, capsys: p
 @pytest.mark.parametrize("name", ["corridor", "corridor_crossed", "yard"])
 def test_sound_campaigns_are_within_all_bounds(name: str) -> None:
     assert not list(implausible(read_campaign(ROOT / "sample_runs" / name)))
+
+
+def test_a_failed_check_of_the_law_goes_with_its_coefficients(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The yard's radii follow the temperature: each form of the law says so; the file of a sound one has no word."""
+    for name, doubts in (("yard", ["left wheel, temperature", "right wheel, temperature"]), ("corridor", [])):
+        master = tmp_path / f"{name}.json"
+        assert run(["export", str(ROOT / "sample_runs" / name), "--to", "json", "--output", str(master)]) == 0
+        assert [text.partition(":")[0] for text in Coefficients.read(master).failed_checks] == doubts
+        assert ("failed_checks" in master.read_text(encoding="utf-8")) is bool(doubts)
+        capsys.readouterr()
+        for to in ("c", "csv", "ros2"):
+            assert run(["export", str(master), "--to", to]) == 0
+            assert ("left wheel, temperature" in capsys.readouterr().out) is bool(doubts), to
 
 
 @pytest.mark.usefixtures("undrawn")

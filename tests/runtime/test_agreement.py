@@ -119,7 +119,9 @@ def quiet(file: CoefficientFile, **noise: float) -> CoefficientFile:
     return file.changed(**{key: document[key] for key in ("noise", "vehicle", "wheels")})
 
 
-def run(file: CoefficientFile, left: np.ndarray, right: np.ndarray, loads: np.ndarray, band: str = "mean") -> Odometer:
+def run(
+    file: CoefficientFile, left: np.ndarray, right: np.ndarray, loads: np.ndarray, band: str | None = "mean"
+) -> Odometer:
     odometer = Odometer(Coefficients.parse(file.to_bytes().decode()), band=band)
     odometer.set_wheel_loads(*loads[0])
     odometer.update(0, 0)
@@ -206,6 +208,10 @@ def test_systematic_covariance_is_the_laws_carried_through_the_end_pose(
         lines += [f"L {loads[index][0]} {loads[index][1]}", f"F {left[index] % WRAP} {right[index] % WRAP}"]
     header = drive(only, [*lines, "s"], f"CALIB_PREDICTION_BAND={int(band == 'prediction')}")[0]
     np.testing.assert_allclose(header[8:].reshape(3, 3), found, rtol=1e-9, atol=0)
+    if band == "prediction":
+        # a journey is one run: its scatter is in the covariance unless left out
+        np.testing.assert_array_equal(run(only, left, right, loads, None).covariance, found)
+        np.testing.assert_array_equal(drive(only, [*lines, "s"])[0], header)
 
 
 def test_on_a_straight_the_random_walk_has_its_closed_form(file: CoefficientFile) -> None:

@@ -104,7 +104,8 @@ def test_a_rate_of_turn_has_its_unit_as_people_write_it(unit: str, factor: float
     rows = "".join(f"{0.05 * n:.2f},0.5,0.1\n" for n in range(100))
     (tmp_path / "a.csv").write_text("time,v,w\n" + rows)
     (tmp_path / "m.toml").write_text(
-        f'[log]\nt_s = "time"\nv_mps = {{column = "v", unit = "m/s"}}\nomega_radps = {{column = "w", unit = "{unit}"}}\n'
+        '[log]\nt_s = "time"\nv_mps = {column = "v", unit = "m/s"}\n'
+        f'omega_radps = {{column = "w", unit = "{unit}"}}\n'
         '[encoder]\nkind = "speed"\n'
     )
     made = ingest([tmp_path / "a.csv"], tmp_path / "c", mapping=tmp_path / "m.toml")

@@ -196,6 +196,19 @@ def test_a_fix_that_only_the_recalibration_keeps_back_is_judged_as_it_is_deliver
     assert fix.recommended and fix.corrects == (arm.effect,) and fix.why == () and fix.leaves == ()
 
 
+def test_the_closure_is_that_of_the_correction_as_delivered(armed: Diagnosis) -> None:
+    """Not that of the fit with another recalibration beside it: what held-out runs leave by the one, and noise."""
+    evidence, fitted = armed.evidence, armed.fix.fitted
+    assert evidence is not None and fitted is not None and armed.fix.held_out is not None
+    left = armed.closure.channels
+    assert any(
+        one.after_rms != other.after_rms for one, other in zip(left, evidence.held_out.closure.channels, strict=True)
+    )
+    # both say what held-out runs leave, over noise: channel by channel, and whitened
+    ratio = np.sqrt(np.mean([(line.after_rms / line.floor_rms) ** 2 for line in left]))
+    assert ratio == pytest.approx(armed.fix.held_out.after_rms, rel=0.2)
+
+
 @pytest.mark.parametrize(("probability", "recommended"), [(0.38, True), (0.7, False)])
 def test_a_track_that_is_rather_not_off_holds_no_others_back(
     armed: Diagnosis, probability: float, recommended: bool
