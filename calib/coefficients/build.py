@@ -197,6 +197,10 @@ def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
     )
 
 
+#: what closed paths leave at its nominal size
+HELD: Final = ("wheels.left.radius_ref", "wheels.right.radius_ref", "vehicle.track")
+
+
 def from_geometry(
     geometry: "Geometry",
     campaign: Campaign,
@@ -227,7 +231,10 @@ def from_geometry(
     names = [estimate.name for estimate in geometry.estimates]
     together = joint_section(geometry.drive, geometry.source, geometry.values, names, geometry.covariance)
     wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
-    file = file.calibrated(track=track, wheelbase=wheelbase).changed(joint_geometry=together)
+    # ratios alone were measured: these lengths rest on the nominal mean radius
+    held = HELD * ("mean_radius_m" in geometry.undetermined)
+    file = file.calibrated(track=track, wheelbase=wheelbase)
+    file = file.changed(joint_geometry=together, assumed=[*file.assumed, *held])
     return file if geometry.passed else file.accepted(accept, geometry.why)
 
 

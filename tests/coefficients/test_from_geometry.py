@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.coefficients.build import export, from_geometry
+from calib.coefficients.build import HELD, export, from_geometry
 from calib.coefficients.file import CoefficientFile, load_coefficients
 from calib.coefficients.formats import ExportOptions, LoadPair
 from calib.errors import ImplausibleError
@@ -23,7 +23,8 @@ from calib.runtime import Odometer
 from calib.runtime.coefficients import CoefficientError, Coefficients
 from calib.types import unit_of
 from calib.vehicle import wheel_loads_N
-from tests.kinematics.campaigns import Truth, campaign, mixed
+from tests.kinematics.campaigns import Truth, campaign, mixed, square
+from tests.kinematics.unaided import Drive, Gyro, unaided
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +45,19 @@ def test_the_file_holds_radii_track_and_their_joint_covariance(made: Campaign, g
     joint = file.law.covariance(file.vehicle.track_std.value)
     np.testing.assert_allclose(joint[np.ix_([0, 2, 4], [0, 2, 4])], geometry.covariance, rtol=1e-12)
     assert joint[0, 2] != 0.0
+
+
+def test_lengths_held_with_the_nominal_mean_radius_are_called_so(made: Campaign, geometry: Geometry) -> None:
+    """Closed loops tell ratios alone: a controller's file calls nothing of them calibrated."""
+    rng = np.random.default_rng(2)
+    loops = unaided(
+        [Drive("square", square(2.0, (-1) ** n), frozenset({"loop"})) for n in range(8)], Truth(), Gyro(), rng
+    )
+    for campaign_, found, held in ((loops, estimate_geometry(loops), True), (made, geometry, False)):
+        file = from_geometry(found, campaign_)
+        assert (set(HELD) <= set(file.assumed)) is held
+        (yaml, *_) = export(file, "ros2")
+        assert (b"HELD by their nominal mean" in yaml.data, b"# calibrated:" in yaml.data) == (held, not held)
 
 
 def test_without_loads_the_slope_is_zero_with_its_standard_deviation(made: Campaign, geometry: Geometry) -> None:
