@@ -158,7 +158,7 @@ _IN_ORDER: Final[tuple[Check, ...]] = (
     measurements.distance_against_log, poses.distance_against_pose,
     counts.reversed_wheels, counts.dead_counters, counts.count_scale, counts.counts_against_log,
     settings.late_logs, settings.counts_per_revolution, settings.log_clock, settings.heading_turns,
-    settings.odd_runs, settings.unused_slopes, settings.pose_resolution,
+    settings.turns_of_kinds, settings.odd_runs, settings.unused_slopes, settings.pose_resolution,
     settings.rounded_values, settings.copied_distances, settings.shifted_sessions,
     counts.swapped_wheels, counts.turn_direction, counts.clock, counts.count_jumps,
     counts.log_speed, counts.steered_by_itself, poses.lost_reference,

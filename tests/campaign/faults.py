@@ -117,6 +117,12 @@ def turning(sign: float) -> Fault:
     return make
 
 
+def _clockwise_by_name(made: Campaign) -> Campaign:
+    turned = with_numbers(turning(1.0)(made), ref_theta_rad=np.full(len(made.runs), np.nan))
+    kinds = {**turned.runs.labels, "kind": np.full(len(made.runs), "square_cw")}
+    return replace(turned, runs=replace(turned.runs, labels=kinds))
+
+
 def _steered(made: Campaign) -> Campaign:
     """Left arcs of 1 m/s, with the steering angle of right arcs."""
     time = made.logs.columns["t_s"]
@@ -317,6 +323,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("swapped_wheels", "swapped_wheels", "suspicious", lambda m: _swap(without_logs(m), slice(4, 5)), "r004"),
     ("turn_direction", "swapped_wheels", "suspicious", turning(-1.0), ""),
     ("turn_direction", "swapped_wheels", "suspicious", _steered, ""),
+    ("turns_of_kinds", "swapped_wheels", "suspicious", _clockwise_by_name, ""),
     ("clock", "gap", "suspicious", _gap, "r003"),
     ("clock", "clock_jump", "suspicious", _log("t_s", _jump_later(4.0)), "r003"),
     ("clock", "clock_jump", "suspicious", _log("t_s", _jump_later(-4.0)), "r003"),

@@ -119,6 +119,23 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
         yield column_note("t_s", text, "clock", of="logs")
 
 
+#: how the name of a kind ends -> sense of its turns
+_OF_KIND: Final = {"ccw": 1.0, "left": 1.0, "cw": -1.0, "right": -1.0}
+
+
+def turns_of_kinds(campaign: Campaign) -> Iterator[Note]:
+    """Compare the sense of turning by counts with the kind's name where no reference measured it."""
+    turned, measured = checks.turned_rad(campaign), checks.reference_turns(campaign)[0]
+    sense = np.array([_OF_KIND.get(kind.rpartition("_")[2], 0.0) for kind in campaign.runs.label("kind").tolist()])
+    # a loop that closed turned whole turns either way
+    measured = np.where(campaign.runs.label("loop") == CLOSED, np.nan, measured)
+    clear = np.isnan(measured) & np.isnan(checks.logged_turns(campaign)) & (sense != 0.0) & (np.abs(turned) > 1.0)
+    if (against := clear & (sense * turned < 0.0)).any():
+        some = f"{int(against.sum())} of {int(clear.sum())} runs ({listed(campaign.runs.run_id[against])})"
+        text = f"in {some} the counts turn otherwise than the kind says; are left and right swapped?"
+        yield column_note("counts_left, counts_right, kind", text, "swapped_wheels")
+
+
 def heading_turns(campaign: Campaign) -> Iterator[Note]:
     """Find end headings of a few runs a whole turn off the wheels'."""
     turns = checks.reference_turns(campaign)[1]
