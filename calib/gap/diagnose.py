@@ -20,9 +20,9 @@ from calib.gap.decision.diagnosis import BY_MODEL, BY_SIMULATOR, Diagnosis, Evid
 from calib.gap.decision.held_out import measure_closure
 from calib.gap.decision.kind import (
     OF_A_PATH,
+    beside_geometry,
     fails,
     kept_back,
-    of_sound_reference,
     open_questions,
     tells_more,
     with_left,
@@ -110,7 +110,7 @@ def diagnose_in_full(
             diagnosis = kept_back(diagnosis, nominal, estimate_noise(nominal, residuals(nominal, nominal)))
         elif windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):
             diagnosis = kept_back(by_windows, diagnosis.arrays.nominal, diagnosis.arrays.noise)
-    diagnosis = of_sound_reference(diagnosis, given) if own else diagnosis
+    diagnosis = beside_geometry(diagnosis, given) if own else diagnosis
     notes = (f"copies of other runs, which count once: {listed(copied)}",) * bool(copied) + diagnosis.notes
     diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence}{unloaded}", notes=notes)
     if not plan or not diagnosis.groups or (evidence := diagnosis.evidence) is None:

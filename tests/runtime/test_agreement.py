@@ -209,7 +209,7 @@ def test_systematic_covariance_is_the_laws_carried_through_the_end_pose(
     header = drive(only, [*lines, "s"], f"CALIB_PREDICTION_BAND={int(band == 'prediction')}")[0]
     np.testing.assert_allclose(header[8:].reshape(3, 3), found, rtol=1e-9, atol=0)
     if band == "prediction":
-        # a journey is one run: its scatter is in the covariance unless left out
+        # a journey is one run: its scatter is in the covariance unless omitted
         np.testing.assert_array_equal(run(only, left, right, loads, None).covariance, found)
         np.testing.assert_array_equal(drive(only, [*lines, "s"])[0], header)
 

@@ -1,10 +1,10 @@
 """The kind of verdict by gap probability, causes and closure, and the decision's thresholds."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from math import sqrt
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -33,6 +33,9 @@ from calib.gap.inference.noise import MAX_NOISE_EXCESS, STATED_EXCESS, Noise
 from calib.gap.observations import Channel
 from calib.gap.predict import Path, residuals
 from calib.types import few_digits
+
+if TYPE_CHECKING:
+    from calib.kinematics.result import Geometry
 
 #: share of the largest cause's that is a hundredth of its size: no law is known closer, and what it leaves looks like a
 #: cause
@@ -156,17 +159,37 @@ OF_A_PATH: Final = frozenset(("ref_x_m", "ref_theta_rad"))
 OF_REFERENCE: Final = ("axis_scale", "heading_scale")
 
 
-def of_sound_reference(found: Diagnosis, campaign: Campaign) -> Diagnosis:
-    """Return a diagnosis, its fix not recommended where `calib geometry` names an unlike scale of the reference."""
+def beside_geometry(found: Diagnosis, campaign: Campaign) -> Diagnosis:
+    """Return a diagnosis of recordings beside what `calib geometry` says of them.
+
+    Its fix is not recommended where the reference has unlike scales; radii and track that differ are noted.
+    """
     from calib.kinematics.estimate import estimate_geometry
 
     if not found.recommended or not OF_A_PATH.intersection(campaign.logs.columns):
         return found
     with suppress(CalibError):
-        faults = [fault.text for fault in estimate_geometry(campaign).faults if fault.code in OF_REFERENCE]
+        geometry = estimate_geometry(campaign)
+        faults = [fault.text for fault in geometry.faults if fault.code in OF_REFERENCE]
         why = tuple(f"{text}: correct this first" for text in faults)
         found = replace(found, fix=replace(found.fix, recommended=not why, why=(*why, *found.fix.why)))
+        if geometry.passed:
+            return replace(found, notes=(*found.notes, *_unlike(found, geometry)))
     return found
+
+
+def _unlike(found: Diagnosis, geometry: "Geometry") -> Iterator[str]:
+    fix, model, parts = found.correction.at_end(), found.observations.model, list[str]()
+    for number, name in enumerate(("radius_left_m", "radius_right_m", "track_m")):
+        sd, here = sqrt(float(fix.covariance[number, number])), float(fix.calibration[number])
+        for own in (own for own in geometry.estimates if own.name == name):
+            low, value, high = (size / getattr(model, name) - 1.0 for size in (own.ci95[0], own.value, own.ci95[1]))
+            if not low - 2.0 * sd <= here <= high + 2.0 * sd:
+                off = f"{100 * value:+.2f} % ({100 * low:+.2f} to {100 * high:+.2f} %)"
+                parts.append(f"{name} by {off}, not {100 * here:+.2f} %")
+    if parts:
+        text = "on routes unlike these the two corrections differ: drive a straight and turns both ways"
+        yield f"'calib geometry' of the same recordings corrects {', '.join(parts)}: {text}"
 
 
 def with_left(diagnosis: Diagnosis) -> Diagnosis:
