@@ -111,7 +111,9 @@ def _apply(
             made: Any = parameters_to_set(diagnosis)
             step = "diagnose simulator --apply"
         else:
-            model = applied_model(diagnosis, campaign, effects, None if believed is None else load_coefficients(believed))
+            model = applied_model(
+                diagnosis, campaign, effects, None if believed is None else load_coefficients(believed)
+            )
             made, what, step = model.to_bytes(), "model is", "diagnose --apply"
             left_out = fitted_beside(model) and on_vehicle(model, diagnosis, campaign)
     except RefusedError as refused:
