@@ -116,7 +116,7 @@ class CoefficientFile(Section):
     assumed: list[str] = Field(default_factory=list)
     inputs: list[InputFile] = Field(default_factory=list)
     accepted_implausible: AcceptedSection | None = None
-    #: of the law, each with its sentence; left out of the file where all passed
+    #: of the law, each with its sentence; omitted from the file where all passed
     failed_checks: list[str] = Field(default_factory=list)
     checksum: Annotated[str, Field(pattern="^sha256:[0-9a-f]{64}$")]
 

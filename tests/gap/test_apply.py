@@ -366,7 +366,7 @@ def test_what_was_not_diagnosed_is_as_uncertain_as_the_given_model_says(tmp_path
         assert wheel.variance_slope.value == pytest.approx(before.variance_slope.value, rel=1e-2)
         assert wheel.residual_std.value >= before.residual_std.value
         assert wheel.valid_load == before.valid_load
-    # at their own mean load the runs tell the radius, whatever the slope
+    # at their own mean load the runs tell the radius at any slope
     at_N = np.nanmean(found.observations.loads_N[0])
     of_fit = model.radius_left_m * np.sqrt(found.correction.covariance[0, 0])
     assert written.law.left.mean_std_m(at_N) == pytest.approx(of_fit, rel=2e-2)
