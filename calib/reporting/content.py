@@ -227,7 +227,7 @@ def report_without_law(
     sections = (
         *result,
         *([] if diagnosis is None else [gap_section(diagnosis)]),
-        *([] if geometry is None else [Section("Radius law", (reason,))]),
+        *([] if geometry is None or _with_slopes(geometry) else [Section("Radius law", (reason,))]),
         preparation_of(ingest_notes(campaign)),
         _limits(campaign, geometry, coefficients),
         missing_of(stated),
@@ -248,10 +248,15 @@ def report_without_law(
     )
 
 
+def _with_slopes(geometry: "Geometry") -> bool:
+    return any(estimate.name.startswith("slope_") for estimate in geometry.estimates)
+
+
 def _limits(campaign: Campaign, geometry: "Geometry | None", coefficients: bytes | None) -> Section:
     limits = ["no_law", "no_law_holds"]
     if geometry is not None:
-        limits = ["geometry_law", "geometry_holds", *(["geometry_kept"] if coefficients is None else [])]
+        kept = ["geometry_kept"] if coefficients is None else []
+        limits = [*([] if _with_slopes(geometry) else ["geometry_law"]), "geometry_holds", *kept]
     blocks = (Items(tuple(map(paragraph, limits))), assumed_text(assumed_settings(campaign)))
     return Section("What this report does not cover", blocks)
 

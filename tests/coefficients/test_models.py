@@ -275,6 +275,11 @@ def test_a_model_states_the_load_at_which_its_radius_holds(coefficients: Coeffic
     near = ExportOptions(loads=(LoadPair(500.0, 700.0),), model=model, left=left, right=right)
     inside = export(file, to, options=near)[0].data.decode()
     assert "wheels at 500 N left, 700 N right" in inside and "CLAMPED" not in inside
+    wheels = coefficients.to_dict()["wheels"]
+    wheels["left"]["valid_load"]["min"]["value"] = 333.0
+    usual = ExportOptions(model=model, left=left, right=right)
+    unasked = export(coefficients.changed(wheels=wheels), to, options=usual)[0].data.decode()
+    assert "wheels at 333 N left, 300 N right" in unasked and "CLAMPED" not in unasked
 
 
 def test_names_and_loads_are_checked(file: CoefficientFile) -> None:
