@@ -61,8 +61,8 @@ def run(
         else:
             if left_out:
                 _check_excluded(left_out, read)
-            name, ran = "" if model is None else model.name, ""
-            diagnosis, effects = diagnosed(read, model, left_out, seed, journeys, name=name, progress=tick)
+            ran = ""
+            diagnosis, effects = diagnosed(read, model, left_out, seed, journeys, progress=tick)
     document = diagnosis.to_dict()
     terminal.show(diagnosis_full(diagnosis))
     terminal.say(ran)
