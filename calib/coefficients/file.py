@@ -55,7 +55,7 @@ class GeometrySection(Section):
 
     Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
     that couple left, right and track. Parameters without a variance were not determined and keep their nominal
-    value. run_covariance: of a single run's scatter about both laws of a corridor campaign.
+    value. run_covariance: of a single run's scatter about both laws, but of a geometry.
     """
 
     drive: Drive

@@ -157,9 +157,10 @@ def _doubts(campaign: Campaign, along: FloatArray) -> list[str]:
     said = [*{note.code: note.sentence for note in reversed(of_loads) if "log" in note.where}.values()]
     of_others = {note.run_id: note for note in counts.counts_against_log(campaign)}
     if of_others:
-        first = next(iter(of_others.values()))
+        first = next(iter(of_others.values())).text.partition(";")[0]
         text = f"{len(of_others)} log(s) count other than the run table, whose end poses are those of the reference"
-        said.append(f"{text} ({checks.listed([*of_others])}; the first: {first.text})")
+        named = f"{checks.listed([*of_others])}; the first: {first}"
+        said.append(f"{text} ({named}): cut, exchanged or of another run? 'calib check' says more")
     known = along[np.isfinite(along) & ~np.isin(campaign.runs.run_id, [*of_others])]
     far = int((np.abs(known) > FAR_SD).sum())
     if far >= FAR_RUNS and far > FAR_SHARE * len(known):
