@@ -262,7 +262,8 @@ def _together(notes: Iterable[Note]) -> list[Note]:
     merged = []
     for of in grouped((note.text, note) for note in notes).values():
         names = list(dict.fromkeys(one.run_id or one.where for one in of))
-        merged.append(replace(of[0], where=f"runs {checks.listed(names)}") if len(names) > 1 else of[0])
+        where = f"{'runs ' if of[0].run_id else ''}{checks.listed(names)}"
+        merged.append(replace(of[0], where=where) if len(names) > 1 else of[0])
     return merged
 
 
