@@ -165,6 +165,17 @@ def test_an_export_is_what_the_vehicle_loads(fit: calib.Fit, tmp_path: Path) -> 
     texts = calib.export(fit, "json", tmp_path / "vehicle.json")
     assert (tmp_path / "vehicle.json").read_text(encoding="utf-8") == next(iter(texts.values()))
     assert load_coefficients(tmp_path / "vehicle.json").law.left.radius_ref_m == fit.left.law.radius_ref_m
+    calib.export(fit, "json", tmp_path / "clamping.json", outside="clamp")
+    assert load_coefficients(tmp_path / "clamping.json").outside == "clamp"
+
+
+def test_a_coefficient_file_stands_where_a_fit_does(campaign: calib.Campaign, fit: calib.Fit, tmp_path: Path) -> None:
+    path = tmp_path / "vehicle.json"
+    calib.export(fit, "json", path)
+    assert calib.replay(campaign, path).to_dict() == calib.replay(campaign, fit).to_dict()
+    simulation = calib.simulate("corrected", law=str(path))
+    assert simulation.law is not None and simulation.law.law.left.radius_ref_m == fit.left.law.radius_ref_m
+    assert calib.diagnose(campaign, model=path).judged_against == "vehicle.json"
 
 
 @pytest.mark.usefixtures("undrawn")

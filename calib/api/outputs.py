@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from numpy.random import Generator, default_rng
 
@@ -19,7 +19,7 @@ from calib.kinematics.assemble import Promise
 from calib.kinematics.result import Geometry
 from calib.odometry import replay as replays
 from calib.odometry import simulation
-from calib.odometry.law_path import AxleLaw
+from calib.odometry.law_path import AxleLaw, law_source
 from calib.odometry.replay import Replay
 from calib.odometry.simulation import LawJourneys, Simulation
 from calib.radius.result import Fit
@@ -93,7 +93,7 @@ def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise | 
 def simulate(
     study: str = "corrected",
     *,
-    law: Fit | None = None,
+    law: Fit | Path | str | None = None,
     routes: Sequence[str] = (),
     loads_N: Sequence[tuple[float, float]] = (),
     seed: int = 0,
@@ -104,8 +104,8 @@ def simulate(
     ----------
     study : {"symmetric", "asymmetric", "corrected", "custom"}
         The paper's studies, or ``custom`` for the law alone.
-    law : Fit, optional
-        Drive the same journeys under this law, its 95 % band carried to the end pose.
+    law : Fit, Path or str, optional
+        Drive the same journeys under this law, of a fit or a coefficient file, its 95 % band carried to the end pose.
     routes : sequence of str
         Names of routes or route files in place of the study's own.
     loads_N : sequence of (float, float)
@@ -123,21 +123,24 @@ def simulate(
     BadInputError
         Where the study or a route is not known.
     """
-    vehicle = Vehicle() if law is None or law.setup is None else law.setup.vehicle
-    under = None if law is None else LawJourneys(AxleLaw(law.law, vehicle.track_m), loads_N)
-    return simulation.simulate(study, routes=routes, track_m=vehicle.track_m, under=under, rng=_generator(seed))
+    under, track_m = None, Vehicle().track_m
+    if law is not None:
+        vehicle = law.setup.vehicle if isinstance(law, Fit) and law.setup is not None else Vehicle()
+        axle = AxleLaw(law.law, vehicle.track_m) if isinstance(law, Fit) else law_source(Path(law))
+        under, track_m = LawJourneys(axle, loads_N), axle.track_m
+    return simulation.simulate(study, routes=routes, track_m=track_m, under=under, rng=_generator(seed))
 
 
 @checked
-def replay(campaign: CampaignLike, law: Fit | Geometry, *, scheme: str = "exact", seed: int = 0) -> Replay:
+def replay(campaign: CampaignLike, law: Fit | Geometry | Path | str, *, scheme: str = "exact", seed: int = 0) -> Replay:
     """Replay the logged runs of a campaign through odometry, with and without the load correction.
 
     Parameters
     ----------
     campaign : Campaign
         Runs with logs, wheel loads and reference end poses.
-    law : Fit or Geometry
-        The law that corrects, or the geometry; best of a campaign other than this one.
+    law : Fit, Geometry, Path or str
+        The law that corrects, the geometry, or a coefficient file of either; best of a campaign other than this one.
     scheme : {"exact", "mid_point", "euler", "end_point"}
         How a step is drawn.
     seed : int
@@ -153,10 +156,13 @@ def replay(campaign: CampaignLike, law: Fit | Geometry, *, scheme: str = "exact"
     RefusedError
         Where no run can be replayed, or the law is of another vehicle.
     """
-    from calib.coefficients.build import from_fit, from_geometry
+    from calib.coefficients.build import coefficients_of, from_fit, from_geometry
 
     campaign = opened(campaign)
-    file = from_geometry(law, campaign) if isinstance(law, Geometry) else from_fit(law)
+    if isinstance(law, Path | str):
+        file = coefficients_of(law).file
+    else:
+        file = from_geometry(law, campaign) if isinstance(law, Geometry) else from_fit(law)
     return replays.replay(campaign, file, rng=_generator(seed), scheme=scheme)
 
 
@@ -218,6 +224,7 @@ def export(
     loads: Sequence[float | str] = (),
     controllers: Sequence[str] = (),
     campaign: CampaignLike | None = None,
+    outside: Literal["refuse", "clamp"] = "refuse",
     accept_implausible: str = "",
     force: bool = False,
 ) -> Mapping[str, str]:
@@ -237,6 +244,8 @@ def export(
         Names of ROS 2 controllers; none: those of the vehicle's drive.
     campaign : Campaign, Path or str, optional
         What a geometry was estimated from.
+    outside : {"refuse", "clamp"}
+        What the vehicle does with a load that was not measured: ``clamp`` takes the nearest one that was.
     accept_implausible : str
         Why a law beyond the bounds of its vehicle is passed on all the same; written into the file.
     force : bool
@@ -254,10 +263,10 @@ def export(
     if isinstance(source, Geometry):
         if campaign is None:
             raise BadInputError("export: found a geometry alone; expected its campaign too; give campaign=...")
-        master = build.from_geometry(source, opened(campaign), accept=accept_implausible)
+        master = build.from_geometry(source, opened(campaign), outside=outside, accept=accept_implausible)
     else:
         given = source if isinstance(source, Fit) else opened(source)
-        master = build.coefficients_from(given, accept_implausible).file
+        master = build.coefficients_from(given, accept_implausible, outside=outside).file
     artifacts = build.export(master, to, options=options)
     if target is not None:
         place(artifacts, Path(target), force=force)

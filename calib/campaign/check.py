@@ -162,9 +162,10 @@ _IN_ORDER: Final[tuple[Check, ...]] = (
     settings.rounded_values, settings.copied_distances, settings.shifted_sessions,
     counts.swapped_wheels, counts.turn_direction, counts.clock, counts.count_jumps,
     counts.log_speed, counts.steered_by_itself, poses.lost_reference,
-    settings.far_from_line, checks.pasted_rows, measurements.wheel_loads, measurements.loads_against_payload,
-    measurements.reference_load, poses.mirrored_ends, poses.turned_frame, poses.bearing_of_ends,
-    poses.stated_uncertainties, poses.track_against_bows, poses.gyro_against_reference, checks.load_and_session,
+    settings.far_from_line, checks.pasted_rows, measurements.wheel_loads, settings.logged_loads,
+    measurements.loads_against_payload, measurements.reference_load, poses.mirrored_ends, poses.turned_frame,
+    poses.bearing_of_ends, poses.stated_uncertainties, poses.track_against_bows, poses.gyro_against_reference,
+    checks.load_and_session,
     checks.columns_as_one, checks.few_loads, model_against_vehicle, implausible,
 )  # fmt: skip
 #: name of a check -> function, in the order of the report
@@ -261,7 +262,8 @@ def _together(notes: Iterable[Note]) -> list[Note]:
     merged = []
     for of in grouped((note.text, note) for note in notes).values():
         names = list(dict.fromkeys(one.run_id or one.where for one in of))
-        merged.append(replace(of[0], where=f"runs {checks.listed(names)}") if len(names) > 1 else of[0])
+        where = f"{'runs ' if of[0].run_id else ''}{checks.listed(names)}"
+        merged.append(replace(of[0], where=where) if len(names) > 1 else of[0])
     return merged
 
 

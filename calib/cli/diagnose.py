@@ -61,8 +61,8 @@ def run(
         else:
             if left_out:
                 _check_excluded(left_out, read)
-            name, ran = "" if model is None else model.name, ""
-            diagnosis, effects = diagnosed(read, model, left_out, seed, journeys, name=name, progress=tick)
+            ran = ""
+            diagnosis, effects = diagnosed(read, model, left_out, seed, journeys, progress=tick)
     document = diagnosis.to_dict()
     terminal.show(diagnosis_full(diagnosis))
     terminal.say(ran)
@@ -75,7 +75,7 @@ def run(
         terminal.save(html, page)
     terminal.draw(figures, lambda: named("figures", "gap.gap_figures")(diagnosis), simulated=read.simulated)
     terminal.emit_json(document)
-    applied = "" if apply is None else _apply(diagnosis, read, effects, apply)
+    applied = "" if apply is None else _apply(diagnosis, read, model, effects, apply)
     step = applied or after_diagnosis(diagnosis, simulator=simulator is not None)
     odd = runs_of_broken_counters(read) if step in _UNSETTLED else ()
     terminal.then(
@@ -90,10 +90,14 @@ _UNSETTLED: Final = frozenset({"diagnose", "diagnose unknown", "diagnose wrong",
 
 
 def _apply(
-    diagnosis: "Diagnosis", campaign: "Campaign", effects: "tuple[EffectSection, ...] | None", target: Path
+    diagnosis: "Diagnosis",
+    campaign: "Campaign",
+    believed: Path | None,
+    effects: "tuple[EffectSection, ...] | None",
+    target: Path,
 ) -> str | None:
     # returns the step that it was, empty where the diagnosis' own holds, None where there is nothing to write
-    from calib.coefficients.file import fitted_beside
+    from calib.coefficients.file import fitted_beside, load_coefficients
     from calib.gap.apply import applied_model, on_vehicle
     from calib.gap.decision.diagnosis import VerdictKind
     from calib.gap.simulator.fix import parameters_to_set
@@ -107,7 +111,9 @@ def _apply(
             made: Any = parameters_to_set(diagnosis)
             step = "diagnose simulator --apply"
         else:
-            model = applied_model(diagnosis, campaign, effects)
+            model = applied_model(
+                diagnosis, campaign, effects, None if believed is None else load_coefficients(believed)
+            )
             made, what, step = model.to_bytes(), "model is", "diagnose --apply"
             left_out = fitted_beside(model) and on_vehicle(model, diagnosis, campaign)
     except RefusedError as refused:

@@ -55,7 +55,7 @@ class GeometrySection(Section):
 
     Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
     that couple left, right and track. Parameters without a variance were not determined and keep their nominal
-    value. run_covariance: of a single run's scatter about both laws of a corridor campaign.
+    value. run_covariance: of a single run's scatter about both laws, but of a geometry.
     """
 
     drive: Drive
@@ -236,8 +236,8 @@ class CoefficientFile(Section):
     def radius_m(self, load_left_N: ArrayLike, load_right_N: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return the radii (left, right) for loads of any shape.
 
-        Raises RefusedError where one lies outside the valid range and the file says ``refuse``; BadInputError where it
-        is not finite.
+        Raises RefusedError where one lies outside the valid range and the file says ``refuse``, or no wheel can carry
+        it; BadInputError where it is not finite.
         """
         return _radius(self, "left", load_left_N), _radius(self, "right", load_right_N)
 
@@ -336,11 +336,12 @@ def _radius(file: CoefficientFile, side: str, load_N: ArrayLike) -> FloatArray:
     low, high = wheel.valid_load.min.value, wheel.valid_load.max.value
     if not np.isfinite(loads).all():
         raise BadInputError(f"{side} wheel load: found NaN or infinity; expected newtons; check the load sensor")
-    if file.outside == "refuse" and ((loads < low) | (loads > high)).any():
+    clamps = (file.outside == "clamp") & (loads > 0.0) & (loads <= file.vehicle.max_wheel_load.value)
+    if (((loads < low) | (loads > high)) & ~clamps).any():
         worst = float(loads.flat[int(np.argmax(np.maximum(low - loads, loads - high)))])
         raise RefusedError(
             f"{side} wheel load: found {worst:g} N; expected {low:g} to {high:g} N, the loads measured and 1 % of "
-            "their span (at least 1 N) beyond; measure there, or export with --outside clamp"
+            "their span (at least 1 N) beyond; measure there, give another load, or export with --outside clamp"
         )
     return np.asarray(wheel.law.radius_m(np.clip(loads, low, high)))
 

@@ -9,9 +9,9 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.settings import Reference
 from calib.campaign.wheels import mecanum_model, odometry_source, without_rear_wheels
-from calib.coefficients.build import Header, PoseNoise, from_law, joint_section, load_points
+from calib.coefficients.build import TRACK_STD_M, Header, PoseNoise, from_law, joint_section, load_points
 from calib.coefficients.file import OF_INSTRUMENTS, SENSOR_PLACES, CoefficientFile, believed_model, effects_left_out
-from calib.coefficients.sections import EffectSection, Quantity
+from calib.coefficients.sections import EffectSection, LoadRange, Quantity, WheelSection
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import BY_SIMULATOR, Diagnosis, VerdictKind
 from calib.gap.decision.held_out import end_rms_m
@@ -19,6 +19,7 @@ from calib.gap.decision.sentences import SMALLER
 from calib.gap.effects.encoder import EncoderBlunder
 from calib.gap.effects.library import effect_class, section_of, with_effects
 from calib.gap.effects.mounting import LateReference, TurnedReference
+from calib.gap.inference.fit import CALIBRATION_SD
 from calib.gap.predict import measured_gap, predict
 from calib.kinematics.drives import STEERING_SCALE
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
@@ -26,14 +27,22 @@ from calib.types import FloatArray
 
 #: what four wheels with rollers have for a track
 ARM: Final = "half_length_plus_half_width_m"
+#: share of its prior variance from which the runs did not tell the track
+UNSEEN: Final = 0.9
 
 
-def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[EffectSection] = ()) -> CoefficientFile:
+def applied_model(
+    diagnosis: Diagnosis,
+    campaign: Campaign,
+    given: Sequence[EffectSection] = (),
+    believed: CoefficientFile | None = None,
+) -> CoefficientFile:
     """Return the campaign's model with the named causes added, as a coefficient file; refused where none is named.
 
     The fitted recalibration goes into radii and track, a load effect into the slopes of the law; others are written by
     id, form, settings and parameters, which `model_of` and `with_effects` of `calib.gap.effects.library` take back. The
-    diagnosed model's own (`given`) are kept.
+    diagnosed model's own (`given`) are kept, and of its file (`believed`) what is known of slopes that no load effect
+    changes: their uncertainty, scatter of runs and range.
     """
     if not diagnosis.causes:
         why = "there is no gap" if diagnosis.kind is VerdictKind.NO_GAP else f"the verdict is {diagnosis.kind.value}"
@@ -44,16 +53,8 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     fitted, observations = diagnosis.correction.at_end(), diagnosis.observations
     model = observations.model
     slopes, sections = _slopes_and_sections(diagnosis)
-    # change of `JOINT` by what was fitted: the calibration's four first
-    by_fitted = np.zeros((len(JOINT), len(fitted.covariance)))
-    by_fitted[4, 2] = model.track_m
-    for row, side in ((0, "left"), (2, "right")):
-        of_law = np.array([getattr(model, f"radius_{side}_m"), getattr(model, f"slope_{side}_m_per_N")])
-        share = np.full(2, 0.5) if observations.by_front else np.eye(2)[row // 2]  # of one counter, the mean alone
-        by_fitted[row : row + 2, :2] = np.outer(of_law, share)
-        if side in slopes:
-            by_fitted[row + 1, slopes[side][1]] = 1.0
-    covariance = by_fitted @ fitted.covariance @ by_fitted.T
+    kept = None if slopes else believed
+    covariance, scatter = _covariance(diagnosis, slopes, believed), _scatter(diagnosis, kept)
 
     def law(number: int, side: str) -> WheelLaw:
         grown = 1.0 + float(fitted.calibration[number])
@@ -65,7 +66,7 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
             slope_m_per_N=getattr(model, f"slope_{side}_m_per_N") * grown + slope,
             covariance=covariance[2 * number :, 2 * number :][:2, :2],
             dof=max(float(diagnosis.noise.dof), 1.0),
-            residual_std_m=float(diagnosis.noise.scales.get("radius_scatter", 0.0)) * radius_m,
+            residual_std_m=float(np.sqrt(scatter[number, number])),
             load_min_N=float(np.nanmin(load_N)),
             load_max_N=float(np.nanmax(load_N)),
             n_runs=len(observations),
@@ -84,6 +85,8 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
         effects=[*given, *sections],
         noise=PoseNoise(track_std_m=per_track * float(np.sqrt(covariance[4, 4]))),
     ).calibrated(track=per_track * track_m)
+    if kept is not None:
+        file = file.changed(wheels={side: _as_wide(wheel, getattr(kept.wheels, side)) for side, wheel in file.wheels})
     lengths |= _sensor(diagnosis, campaign.reference)
     names, matrix = list(rows), np.stack(list(rows.values()))
     sizes = matrix @ (left.radius_ref_m, left.slope_m_per_N, right.radius_ref_m, right.slope_m_per_N, track_m)
@@ -91,7 +94,62 @@ def applied_model(diagnosis: Diagnosis, campaign: Campaign, given: Sequence[Effe
     known = np.flatnonzero(np.diag(spread))
     found, determined = dict(zip(names, sizes.tolist(), strict=True)), [names[k] for k in known]
     together = joint_section(file.vehicle.drive, source, found | lengths, determined, spread[np.ix_(known, known)])
+    if source == "rear":
+        shared = Quantity.of(value=float(scatter[0, 1]), unit="m^2")
+        together = together.model_copy(update={"run_covariance": shared})
     return file.changed(joint_geometry=together)
+
+
+def _covariance(
+    diagnosis: Diagnosis, slopes: dict[str, tuple[float, int]], believed: CoefficientFile | None
+) -> FloatArray:
+    """Return the covariance of `JOINT`, shape (5, 5): of what was fitted, and as `believed` of what was not."""
+    fitted, observations = diagnosis.correction.at_end(), diagnosis.observations
+    model = observations.model
+    # change of `JOINT` by what was fitted: the calibration's four first
+    by_fitted = np.zeros((len(JOINT), len(fitted.covariance)))
+    by_fitted[4, 2] = model.track_m
+    for row, side in ((0, "left"), (2, "right")):
+        of_law = np.array([getattr(model, f"radius_{side}_m"), getattr(model, f"slope_{side}_m_per_N")])
+        share = np.full(2, 0.5) if observations.by_front else np.eye(2)[row // 2]  # of one counter, the mean alone
+        by_fitted[row : row + 2, :2] = np.outer(of_law, share)
+        if side in slopes:
+            by_fitted[row + 1, slopes[side][1]] = 1.0
+    covariance = np.asarray(by_fitted @ fitted.covariance @ by_fitted.T)
+    if believed is not None and not slopes:
+        # the runs show the radius at their mean load: that at the reference load follows the slope
+        above_N, by_slope = np.nanmean(observations.loads_N, axis=1) - model.reference_load_N, np.zeros((len(JOINT), 2))
+        for wheel in range(2):
+            by_slope[2 * wheel : 2 * wheel + 2, wheel] = -above_N[wheel], 1.0
+        covariance += by_slope @ believed.law.covariance()[1:4:2, 1:4:2] @ by_slope.T
+    if fitted.covariance[2, 2] > UNSEEN * CALIBRATION_SD[2] ** 2:
+        known_m = TRACK_STD_M if believed is None else believed.vehicle.track_std.value
+        as_known = np.append(np.ones(4), known_m / np.sqrt(covariance[4, 4]))
+        covariance *= np.outer(as_known, as_known)
+    return covariance
+
+
+def _scatter(diagnosis: Diagnosis, kept: CoefficientFile | None) -> FloatArray:
+    """Return the covariance of single runs' radii about the law, shape (2, 2), no less than that of a law `kept`."""
+    both, apart = (diagnosis.noise.scales.get(name, 0.0) for name in ("radius_scatter", "yaw_scatter"))
+    model = diagnosis.observations.model
+    shares = np.array([[both, both], [-0.5 * apart, 0.5 * apart]]) * (model.radius_left_m, model.radius_right_m)
+    scatter = np.asarray(shares.T @ shares)
+    if kept is not None:
+        law = kept.law
+        known = np.diag(np.square([law.left.residual_std_m, law.right.residual_std_m]))
+        known[[0, 1], [1, 0]] = law.run_covariance_m2
+        larger, other = (known, scatter) if np.trace(known) > np.trace(scatter) else (scatter, known)
+        scatter = larger.copy()
+        np.fill_diagonal(scatter, np.maximum(np.diag(larger), np.diag(other)))
+    return scatter
+
+
+def _as_wide(wheel: WheelSection, believed: WheelSection) -> WheelSection:
+    low, high = (getattr(wheel.valid_load, end).value for end in ("min", "max"))
+    of_law = believed.valid_load
+    wide = LoadRange.of(min=min(low, of_law.min.value), max=max(high, of_law.max.value))
+    return wheel.model_copy(update={"valid_load": wide})
 
 
 def _sensor(diagnosis: Diagnosis, stated: Reference) -> dict[str, float]:

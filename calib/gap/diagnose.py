@@ -197,12 +197,11 @@ def diagnosed(
     seed: int,
     journeys: FilePath | str | None,
     *,
-    name: str = "",
     progress: Progress = silent,
 ) -> tuple[Diagnosis, tuple[EffectSection, ...]]:
     """Return the diagnosis of calib's own model, and the effects that this model has already; see `diagnose_in_full`.
 
-    `name`: the model's, for the words of the diagnosis.
+    The words of the diagnosis name the model by its file.
     """
     believed, effects = (None, ()) if model is None else model_of(FilePath(model), campaign)
     mounted, acting = (campaign, effects) if model is None else with_mounting_of(FilePath(model), campaign, effects)
@@ -217,7 +216,7 @@ def diagnosed(
         exclude=tuple(exclude),
         model=believed,
         applied=acting,
-        model_name=name,
+        model_name="" if model is None else FilePath(model).name,
         journeys=planned,
         progress=progress,
     )

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike
 
+from calib.campaign import checks
+from calib.campaign.checks import counts, measurements, settings
 from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 #: with what the simulator believes; with the law's radii, unladen; at the load of each run, or step (Fig. 7)
 METHODS = ("model", "constant", "corrected")
 
+#: ends so many standard deviations off are no chance, not even of what all runs share: fewest runs, and least share
+FAR_SD, FAR_RUNS, FAR_SHARE = 3.0, 3, 0.1
 #: of the bootstrap over runs
 RESAMPLES: Final = 2000
 
@@ -122,6 +126,8 @@ def replay(
     means = {method: square[method][picks].mean(axis=1) for method in ("constant", "corrected")}
     low, high = np.quantile(np.sqrt(means["constant"] / np.maximum(means["corrected"], 1e-300)), [0.025, 0.975])
     rms = {method: float(np.sqrt(part.mean())) for method, part in square.items()}
+    fed, along_std_m = _fed_runs(chosen, coefficients, runtime_runs)
+    along = errors["corrected"].along_m / np.where(in_range, along_std_m, np.nan)
     return Replay(
         campaign=campaign.name,
         simulated=campaign.simulated,
@@ -138,11 +144,29 @@ def replay(
         rms_heading_rad={by: float(np.sqrt(np.mean(errors[by].heading_rad[in_range] ** 2))) for by in METHODS},
         ratio=rms["constant"] / rms["corrected"],
         ratio_ci95=(float(low), float(high)),
-        runtime=NOT_FED if by_geometry else _runtime_check(chosen, coefficients, runs=runtime_runs),
+        runtime=fed,
         left_out=left_out,
         by_geometry=by_geometry,
-        notes=notes,
+        notes=(*notes, *_doubts(chosen, along)),
     )
+
+
+def _doubts(campaign: Campaign, along: FloatArray) -> list[str]:
+    """Return what speaks against logs and law; `along` (n_runs,): end errors along the way, in those expected."""
+    of_loads = [*measurements.wheel_loads(campaign), *settings.logged_loads(campaign)]
+    said = [*{note.code: note.sentence for note in reversed(of_loads) if "log" in note.where}.values()]
+    of_others = {note.run_id: note for note in counts.counts_against_log(campaign)}
+    if of_others:
+        first = next(iter(of_others.values())).text.partition(";")[0]
+        text = f"{len(of_others)} log(s) count other than the run table, whose end poses are those of the reference"
+        named = f"{checks.listed([*of_others])}; the first: {first}"
+        said.append(f"{text} ({named}): cut, exchanged or of another run? 'calib check' says more")
+    known = along[np.isfinite(along) & ~np.isin(campaign.runs.run_id, [*of_others])]
+    far = int((np.abs(known) > FAR_SD).sum())
+    if far >= FAR_RUNS and far > FAR_SHARE * len(known):
+        text = f"{far} of {len(known)} runs end more than {FAR_SD:g} standard deviations of the prediction off"
+        said.append(f"{text} along the way: the coefficients no longer fit; 'calib fit NEW --model OLD' compares them")
+    return said
 
 
 def _driven(
@@ -264,11 +288,12 @@ class RuntimeCheck:
     faults: dict[str, int]  #: refused loads and samples by status
 
 
-#: the runtime reads two wheels on one axle
-NOT_FED: Final = RuntimeCheck(0, 0, float("nan"), float("nan"), {})
-
-
-def _runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: int) -> RuntimeCheck:
+def _fed_runs(campaign: Campaign, coefficients: CoefficientFile, runs: int) -> tuple[RuntimeCheck, FloatArray]:
+    # and the standard deviation of the end along the way, (n_runs,), NaN where not fed
+    heading, along_std_m = campaign.runs.number("ref_theta_rad"), np.full(len(campaign.runs), np.nan)
+    if without_rear_wheels(campaign):
+        # the runtime reads two wheels on one axle
+        return RuntimeCheck(0, 0, float("nan"), float("nan"), {}), along_std_m
     odometer = Odometer(Coefficients.parse(coefficients.to_bytes().decode("utf-8")))
     carried = np.stack(carried_loads_N(campaign), axis=1)
     faults: Counter[str] = Counter()
@@ -282,12 +307,15 @@ def _runtime_check(campaign: Campaign, coefficients: CoefficientFile, *, runs: i
         faults.update([fault] if fault else [])
         if poses is None:
             continue
+        ahead = np.array([np.cos(heading[run]), np.sin(heading[run]), 0.0])
+        variance = ahead @ np.array(odometer.covariance) @ ahead
+        along_std_m[run] = np.sqrt(variance + campaign.reference.sigma_xy_m**2)
         radii = radii_under_load(coefficients.law, *loads.T)
         travel = travel_from_counts(log["counts_left"], log["counts_right"], campaign.encoder, *radii)
         gap = np.abs(integrate(*travel, coefficients.geometry.track_m).stacked() - poses).max(axis=0)
         worst_m = float(np.fmax(worst_m, max(gap[0], gap[1])))
         worst_rad = float(np.fmax(worst_rad, gap[2]))
-    return RuntimeCheck(fed, samples, worst_m, worst_rad, dict(faults))
+    return RuntimeCheck(fed, samples, worst_m, worst_rad, dict(faults)), along_std_m
 
 
 def _fed(odometer: Odometer, log: dict[str, FloatArray], loads_N: FloatArray) -> tuple[FloatArray | None, str, int]:

@@ -125,7 +125,9 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         (~straight, "not a corridor run by its kind"),
         (~np.isfinite(distance), "has no distance_m"),
         (np.abs(distance) < SHORTEST_M, f"is shorter than {SHORTEST_M} m"),
-        (~np.isfinite(counts).all(axis=0), "has no counts"),
+        (np.isnan(counts).all(axis=0), "has no counts"),
+        (~np.isfinite(counts[0]), "has no counts_left"),
+        (~np.isfinite(counts[1]), "has no counts_right"),
         ((counts == 0).any(axis=0), "has a wheel without a single count"),
         (
             counts.prod(axis=0) < 0,

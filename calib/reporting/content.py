@@ -219,7 +219,11 @@ def report_without_law(
         verdict = to_json(content["gap"]).encode()
         files["diagnosis.json"] = (verdict, "Verdict of the diagnosis with everything that it rests on")
     stated = stated_of(campaign)
-    reason = Notice("note", "These runs give no radius law", capital(prose(why.rstrip("."))) + ".")
+    lawful = geometry is not None and any(one.name.startswith("slope_") for one in geometry.estimates)
+    known = (
+        "The radius law is that of the geometry; 'calib fit' finds none" if lawful else "These runs give no radius law"
+    )
+    reason = Notice("note", known, capital(prose(why.rstrip("."))) + ".")
     found = [] if diagnosis is None else [page_one_notice(diagnosis)]
     result = [Section("Result", (*found, reason))]
     if geometry is not None:
@@ -229,7 +233,7 @@ def report_without_law(
         *([] if diagnosis is None else [gap_section(diagnosis)]),
         *([] if geometry is None else [Section("Radius law", (reason,))]),
         preparation_of(ingest_notes(campaign)),
-        _limits(campaign, geometry, coefficients),
+        _limits(campaign, geometry, coefficients, lawful=lawful),
         missing_of(stated),
     )
     return Report(
@@ -248,10 +252,11 @@ def report_without_law(
     )
 
 
-def _limits(campaign: Campaign, geometry: "Geometry | None", coefficients: bytes | None) -> Section:
+def _limits(campaign: Campaign, geometry: "Geometry | None", coefficients: bytes | None, *, lawful: bool) -> Section:
     limits = ["no_law", "no_law_holds"]
     if geometry is not None:
-        limits = ["geometry_law", "geometry_holds", *(["geometry_kept"] if coefficients is None else [])]
+        kept = ["geometry_kept"] if coefficients is None else []
+        limits = [*([] if lawful else ["geometry_law"]), "geometry_holds", *kept]
     blocks = (Items(tuple(map(paragraph, limits))), assumed_text(assumed_settings(campaign)))
     return Section("What this report does not cover", blocks)
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -87,6 +88,12 @@ class Coefficients:
     cross_covariance: tuple[tuple[int, int, float], ...]
     unapplied_effects: tuple[str, ...]
     failed_checks: tuple[str, ...] = ()
+
+    def takes(self, loads_N: Sequence[float], nearest_N: Sequence[float]) -> bool:
+        """Return whether loads hold: the nearest valid ones are the same, or stand in where a wheel can carry them."""
+        clamps, most_N = self.outside == "clamp", self.max_wheel_load_N
+        pairs = zip(loads_N, nearest_N, strict=True)
+        return all(load_N == near_N or (clamps and 0.0 < load_N <= most_N) for load_N, near_N in pairs)
 
     @classmethod
     def read(cls, path: str | Path) -> "Coefficients":

@@ -326,14 +326,14 @@ class Effects:
     def begin(self, run: Run) -> None:
         """Begin a run: its loads and surroundings hold until the next one.
 
-        Raises CoefficientError where a load is not finite, or not valid and the file does not say clamp.
+        Raises CoefficientError where a load is not finite, or not valid and not clamped by the file.
         """
         self._run, file = None, self.coefficients
         loads = {}
         for name, wheel in (("load_left_N", file.left), ("load_right_N", file.right)):
             load_N, low, high = getattr(run, name), wheel.load_min_N, wheel.load_max_N
             loads[name] = min(max(load_N, low), high)
-            if not math.isfinite(load_N) or (loads[name] != load_N and file.outside == "refuse"):
+            if not math.isfinite(load_N) or not file.takes([load_N], [loads[name]]):
                 raise CoefficientError(f"begin: {name}: found {load_N:g}; expected {low:g} to {high:g} N")
         known = {name: getattr(run, column) for name, column in _FOLLOWS.items()}
         known |= {f"covariate:{name}": value for name, value in run.covariates.items()}

@@ -183,14 +183,14 @@ class Odometer:
     def set_wheel_loads(self, left_N: float, right_N: float) -> None:
         """Set the loads of the rear wheels; from the next sample on their radii hold.
 
-        Raises OdometerFault where a load is not finite, or outside the valid range and the file says refuse; samples
-        are then refused.
+        Raises OdometerFault where a load is not finite, or outside the valid range and either the file says refuse or
+        no wheel can carry it; samples are then refused.
         """
         loads = self._finite(left_N, right_N)
         wheels = (self.coefficients.left, self.coefficients.right)
         used = [min(max(load, w.load_min_N), w.load_max_N) for load, w in zip(loads, wheels, strict=True)]
         self._clamped = tuple(used) != loads
-        if self._clamped and self.coefficients.outside == "refuse":
+        if not self.coefficients.takes(loads, used):
             self._clamped = False
             raise self._refuse_load(Status.LOAD_OUT_OF_RANGE)
         self._radii = self._last_radii = (wheels[0].radius_m(used[0]), wheels[1].radius_m(used[1]))

@@ -79,22 +79,23 @@ class LoadFollower:
     def feed_loads(self, left_N: float, right_N: float, t_s: float) -> Status:
         """Take measured wheel loads; from the next sample of the joints on their radii hold.
 
-        A load that the coefficient file refuses stops the odometry until one comes that it takes.
+        A load that the coefficient file refuses stops the odometry until one comes that it takes; it is no part of
+        the smoothed one.
         """
         if not (math.isfinite(left_N) and math.isfinite(right_N) and math.isfinite(t_s)):
             return Status.NOT_FINITE
-        if self._loads_N is None or self._settling_s <= 0.0:
-            self._loads_N = (left_N, right_N)
-        else:
-            weight = -math.expm1(-max(t_s - self._loads_t_s, 0.0) / self._settling_s)
-            left, right = self._loads_N
-            self._loads_N = (left + weight * (left_N - left), right + weight * (right_N - right))
-        self._loads_t_s = max(t_s, self._loads_t_s)
         try:
-            self._odometer.set_wheel_loads(*self._loads_N)
+            self._odometer.set_wheel_loads(left_N, right_N)
+            if self._loads_N is not None and self._settling_s > 0.0:
+                weight = -math.expm1(-max(t_s - self._loads_t_s, 0.0) / self._settling_s)
+                left, right = self._loads_N
+                left_N, right_N = left + weight * (left_N - left), right + weight * (right_N - right)
+                self._odometer.set_wheel_loads(left_N, right_N)
         except OdometerFault as fault:
             self.status = fault.status
             return fault.status
+        self._loads_N = left_N, right_N
+        self._loads_t_s = max(t_s, self._loads_t_s)
         return Status.OK
 
     def feed_joints(

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.campaign.model import Campaign, Logs
-from calib.campaign.settings import Encoder
+from calib.campaign.settings import WHEEL_LOADS, Encoder
 from tests.campaign.making import campaign, wandering, with_log_columns, with_numbers
 
 Fault = Callable[[Campaign], Campaign]
@@ -31,6 +31,17 @@ def _log(name: str, change: Callable[[np.ndarray], None], run: int = 3) -> Fault
         column = made.logs.columns[name].copy()
         change(column[made.logs.offsets[run] : made.logs.offsets[run + 1]])
         return with_log_columns(made, **{name: column})
+
+    return make
+
+
+def _loads(first: int, value: float, *sides: str) -> Fault:
+    def make(made: Campaign) -> Campaign:
+        names = [f"load_{side}_N" for side in sides or ("left", "right")]
+        columns = {name: np.repeat(made.runs.number(name), made.logs.lengths) for name in names}
+        for column in columns.values():
+            column[made.logs.offsets[3] + first : made.logs.offsets[4]] = value
+        return replace(made, logs=replace(made.logs, columns={**made.logs.columns, **columns}))
 
     return make
 
@@ -338,15 +349,14 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("wheel_loads", "impossible_load", "wrong", number("load_left_N", lambda _: -5.0, 4), "r004"),
     ("wheel_loads", "excess_load", "suspicious", number("load_left_N", lambda f: f * 1000, 4), "r004"),
     ("wheel_loads", "missing_load", "suspicious", number("load_left_N", lambda _: np.nan, 4), ""),
+    ("wheel_loads", "impossible_load", "wrong", _loads(20, -400.0), "r003"),
+    ("wheel_loads", "excess_load", "suspicious", _loads(20, 4900.0), "r003"),
+    ("logged_loads", "missing_load", "suspicious", _loads(20, np.nan), ""),
+    ("logged_loads", "missing_load", "suspicious", _loads(0, 300.0, "right"), ""),
+    ("logged_loads", "load_unit", "suspicious", _loads(0, 30.6), ""),
     ("loads_against_payload", "contradicted_load", "suspicious", number("load_left_N", lambda f: f + 200, 4), "r004"),
     ("loads_against_payload", "contradicted_load", "suspicious", number("load_left_N", lambda f: f / 9.81), ""),
-    (
-        "loads_against_payload",
-        "swapped_loads",
-        "suspicious",
-        lambda m: _swap(m, slice(4, 5), ("load_left_N", "load_right_N")),
-        "r004",
-    ),
+    ("loads_against_payload", "swapped_loads", "suspicious", lambda m: _swap(m, slice(4, 5), WHEEL_LOADS), "r004"),
     ("load_and_session", "confounded_load", "suspicious", _sessions_of_one_load, ""),
     ("load_and_session", "ordered_load", "suspicious", _one_session_rising, ""),
     ("load_and_session", "ordered_load", "suspicious", _sessions_rising, ""),

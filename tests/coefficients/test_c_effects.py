@@ -122,15 +122,18 @@ def test_what_is_not_known_has_no_effect(driven: tuple[Campaign, Observations], 
 def test_loads_outside_the_valid_range_are_taken_as_in_python(
     driven: tuple[Campaign, Observations], tmp_path: Path
 ) -> None:
-    """Clamped to 5000 N, or refused: the motion is NaN. A time before the load is none."""
+    """Clamped where a wheel can carry them, or refused: the motion is NaN. A time before the load is none."""
     made, s = driven
     clamping, steps = coefficient_file(made, s, [sections_of("load_creep", s)[0]]), np.array([[0.1, 0.1, 0.02]])
+    wheels = clamping.to_dict()["wheels"]
+    wheels["left"]["valid_load"]["max"]["value"] = 4000.0
+    clamping = clamping.changed(wheels=wheels)
 
     def at(file: CoefficientFile, load_N: float, minutes: float = -30.0) -> np.ndarray:
         return moved(file, Run(load_left_N=load_N, load_right_N=300.0, minutes_under_load=minutes), steps, tmp_path)[0]
 
-    np.testing.assert_array_equal(at(clamping, 9000.0), at(clamping, 5000.0, minutes=0.0))
-    assert np.isnan(at(clamping, math.nan)[0])
+    np.testing.assert_array_equal(at(clamping, 5000.0), at(clamping, 4000.0, minutes=0.0))
+    assert np.isnan([at(clamping, load_N)[0] for load_N in (math.nan, 5000.1, -1.0)]).all()
     assert np.isnan(at(clamping.changed(outside="refuse"), 9000.0)[0])
 
 

@@ -126,7 +126,7 @@ def test_the_bound_of_the_integer_form_holds_for_any_law(
 
 
 def test_outside_the_range_the_header_follows_the_rule_of_the_file(file: CoefficientFile, tmp_path: Path) -> None:
-    loads = np.array([0.0, 199.9, 1100.5, 5000.0])
+    loads = np.array([0.1, 199.9, 1100.5, 5000.0])
     refused = ask(build(file, tmp_path), loads)
     assert (refused[:, :4] == 2).all()
     assert (refused[:, [4, 5, 7, 8]] == -1).all()
@@ -136,6 +136,8 @@ def test_outside_the_range_the_header_follows_the_rule_of_the_file(file: Coeffic
     np.testing.assert_allclose(clamped[:, 4], left, rtol=1e-12, atol=0)
     np.testing.assert_allclose(clamped[:, 5], right, rtol=1e-12, atol=0)
     np.testing.assert_allclose(clamped[:, 7], left * 1e9, rtol=0, atol=0.51)
+    # a load cell that is dead, saturated or exchanged
+    assert (ask(build(file.changed(outside="clamp"), tmp_path), np.array([-50.0, 0.0, 5000.1]))[:, :4] == 2).all()
 
 
 @pytest.mark.parametrize("option", ["-ffast-math", "-ffinite-math-only"])

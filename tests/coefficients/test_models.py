@@ -266,15 +266,20 @@ def test_a_model_states_the_load_at_which_its_radius_holds(coefficients: Coeffic
     }
     model, left, right = names[to]
     file, law = coefficients.changed(outside="clamp"), coefficients.law
-    far = ExportOptions(loads=(LoadPair(9000.0, 9000.0),), model=model, left=left, right=right)
+    far = ExportOptions(loads=(LoadPair(4900.0, 4900.0),), model=model, left=left, right=right)
     (artifact,) = export(file, to, options=far)
     text = artifact.data.decode()
     assert f"wheels at {law.left.load_max_N:g} N left, {law.right.load_max_N:g} N right" in text
-    assert "CLAMPED from 9000 N left, 9000 N right" in text
-    assert not any("at 9000 N" in note for note in artifact.notes)
+    assert "CLAMPED from 4900 N left, 4900 N right" in text
+    assert not any("at 4900 N" in note for note in artifact.notes)
     near = ExportOptions(loads=(LoadPair(500.0, 700.0),), model=model, left=left, right=right)
     inside = export(file, to, options=near)[0].data.decode()
     assert "wheels at 500 N left, 700 N right" in inside and "CLAMPED" not in inside
+    wheels = coefficients.to_dict()["wheels"]
+    wheels["left"]["valid_load"]["min"]["value"] = 333.0
+    usual = ExportOptions(model=model, left=left, right=right)
+    unasked = export(coefficients.changed(wheels=wheels), to, options=usual)[0].data.decode()
+    assert "wheels at 333 N left, 300 N right" in unasked and "CLAMPED" not in unasked
 
 
 def test_names_and_loads_are_checked(file: CoefficientFile) -> None:

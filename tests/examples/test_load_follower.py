@@ -105,6 +105,8 @@ def test_loads_are_smoothed_by_their_time_constant(odometer: Odometer) -> None:
         follower.feed_loads(400.0, 400.0, 0.0)
         for i in range(steps):
             follower.feed_loads(1000.0, 400.0, 2.0 * (i + 1) / steps)
+            # what the file refuses is no part of it
+            assert follower.feed_loads(2000.0, 400.0, 2.0 * (i + 1) / steps) is Status.LOAD_OUT_OF_RANGE
         assert follower.loads_N == pytest.approx((1000.0 - 600.0 / math.e, 400.0), rel=ROUNDING)
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
-from calib.coefficients.file import believed_model, load_coefficients
+from calib.coefficients.file import believed_model, load_coefficients, sealed
 from calib.coefficients.sections import EffectSection, Quantity
 from calib.errors import RefusedError
 from calib.gap.apply import applied_model, on_vehicle
@@ -345,3 +345,28 @@ def test_sides_of_a_mecanum_drive_that_differ_are_corrected_in_full() -> None:
     assert low < -0.005 < high and high - low < 0.001
     model = believed_model(applied_model(diagnosis, made), made.model.reference_load_N)
     assert diagnose_in_full(made, model=model, plan=False).kind is VerdictKind.NO_GAP
+
+
+def test_what_was_not_diagnosed_is_as_uncertain_as_the_given_model_says(tmp_path: Path) -> None:
+    """Radii shrink below a file with slopes: these keep uncertainty and range, and runs no less than their scatter."""
+    campaign = campaign_with("load_radius", seed=4)
+    fitted = applied_model(diagnosed("load_radius", 4), campaign).to_dict()
+    for wheel in fitted["wheels"].values():
+        wheel["radius_ref"]["value"] *= 1.003
+        wheel["variance_slope"]["value"] *= 4.0
+        wheel["residual_std"]["value"] *= 2.0
+        wheel["valid_load"]["max"]["value"] += 500.0
+    given = sealed(**fitted)
+    model, _ = model_of(write_bytes(tmp_path / "given.json", given.to_bytes()), campaign)
+    found = diagnose_in_full(campaign, model=model, plan=False)
+    assert "load_radius" not in {cause.effect for cause in found.causes}
+    written = applied_model(found, campaign, believed=given)
+    for side, wheel in written.wheels:
+        before = getattr(given.wheels, side)
+        assert wheel.variance_slope.value == pytest.approx(before.variance_slope.value, rel=1e-2)
+        assert wheel.residual_std.value >= before.residual_std.value
+        assert wheel.valid_load == before.valid_load
+    # at their own mean load the runs tell the radius at any slope
+    at_N = np.nanmean(found.observations.loads_N[0])
+    of_fit = model.radius_left_m * np.sqrt(found.correction.covariance[0, 0])
+    assert written.law.left.mean_std_m(at_N) == pytest.approx(of_fit, rel=2e-2)

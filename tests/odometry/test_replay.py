@@ -228,3 +228,23 @@ def test_the_gap_of_the_model_is_the_one_that_the_diagnosis_sees() -> None:
     flat = replay(replace(campaign, model=without), coefficients_of(yard).file, rng=np.random.default_rng(0))
     # what leaving the slopes out costs on this campaign
     assert flat.rms_m["model"] > 5 * replayed.rms_m["model"]
+
+
+def test_what_speaks_against_logs_or_law_is_said_in_a_note_each(
+    campaign: Campaign, coefficients: CoefficientFile
+) -> None:
+    """Fresh coefficients: none. Radii 1 % off, a log of half the counts of its run, a load of one wheel alone: one."""
+
+    def notes(made: Campaign, law: CoefficientFile = coefficients) -> str:
+        return " ".join(replay(made, law, rng=np.random.default_rng(0)).notes)
+
+    assert notes(campaign) == ""
+    worn = coefficients.to_dict()["wheels"]
+    for wheel in worn.values():
+        wheel["radius_ref"]["value"] *= 1.01
+    assert "4 of 4 runs end more than 3 standard" in notes(campaign, coefficients.changed(wheels=worn))
+    counts = campaign.runs.number("counts_left") * np.array([2.0, 1.0, 1.0, 1.0])
+    cut = notes(with_numbers(campaign, counts_left=counts))
+    assert cut.startswith("1 log(s) count other than the run table") and campaign.runs.run_id[0] in cut
+    of_one = replace(campaign.logs, columns={k: v for k, v in campaign.logs.columns.items() if k != "load_left_N"})
+    assert "load of the other wheel alone" in notes(replace(campaign, logs=of_one))

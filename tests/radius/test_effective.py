@@ -147,7 +147,7 @@ def test_runs_that_cannot_be_used_are_named_with_the_reason() -> None:
     assert list(radii.run_id) == ["r0"]
     told = {run.run_id: run.reason for run in radii.left_out}
     assert told.keys() == {"r1", "r2", "r3", "r4", "r5", "r6"}
-    for run, word in (("r1", "distance"), ("r2", "counts"), ("r3", "sign"), ("r4", "load"), ("r5", "straight")):
+    for run, word in (("r1", "distance"), ("r2", "no counts_left"), ("r3", "sign"), ("r4", "load"), ("r5", "straight")):
         assert word in told[run]
     assert "excluded" in told["r6"]
 

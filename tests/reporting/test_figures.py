@@ -20,7 +20,14 @@ from calib.reporting import Picture
 from calib.reporting.content import Report, compose
 from calib.reporting.figures import gap as gap_figures
 from calib.reporting.figures import marked, named_groups, render, render_all
-from calib.reporting.figures.calibration import draw_paths, path_deviation, regressions, residuals, runs_by_series
+from calib.reporting.figures.calibration import (
+    correlations,
+    draw_paths,
+    path_deviation,
+    regressions,
+    residuals,
+    runs_by_series,
+)
 from calib.reporting.figures.studies import replay_figure, sweep_errors_figure, sweep_figure
 from calib.reporting.source import Source
 from tests.reporting.making import CHANNELS, findings, with_findings
@@ -224,3 +231,11 @@ def test_all_that_paths_of_end_poses_show_is_in_the_legend_and_none_of_it_overla
     assert any(label.startswith("odometry after: distance") for label in labels)
     mark = labels.pop("SIMULATED DATA")
     assert not any(mark.overlaps(other) for other in labels.values())
+
+
+def test_correlations_of_many_parameters_fit_their_cells() -> None:
+    """Two digits behind the point, and no zero before it."""
+    covariance = np.full((9, 9), -0.1) + 1.1 * np.eye(9)
+    for size, shown in ((4, "\u22120.10"), (9, "\u2212.10")):
+        figure = correlations([f"p{k}" for k in range(size)], covariance[:size, :size])
+        assert {text.get_text() for text in figure.axes[0].texts} == {shown, "1.00"}

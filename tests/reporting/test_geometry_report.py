@@ -18,7 +18,7 @@ from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry, RunTrace
 from calib.reporting import Facts, Notice, Picture
 from calib.reporting.content import Report, report_without_law
-from calib.reporting.topics.geometry import parameter_table
+from calib.reporting.topics.geometry import geometry_sections, parameter_table
 from tests.kinematics.campaigns import Leg, Truth, campaign, square
 
 #: noise of the reference
@@ -142,6 +142,32 @@ def test_runs_without_a_law_give_a_report_of_the_geometry(
     text = page.read_text(encoding="utf-8")
     assert "These runs give no radius law" in text and "radius left" in text
     assert report(folder, tmp_path / "same.pdf", date="2026-01-01").read_bytes() == pdf.read_bytes()
+
+
+def test_runs_without_an_end_pose_have_no_picture_of_paths_or_residuals(squares: Campaign) -> None:
+    """A taped length alone is no end that could be drawn."""
+    found = estimate_geometry(squares)
+    traces = traces_of(squares, found)
+    lone = [
+        replace(t, reference_m=t.reference_m * (1.0, np.nan), residual_after=np.nan * t.residual_after) for t in traces
+    ]
+    for paths, drawn in ((traces, True), (tuple(lone), False)):
+        blocks = [block for section in geometry_sections(replace(found, paths=paths), []) for block in section.blocks]
+        names = {block.name for block in blocks if isinstance(block, Picture)}
+        assert ("geometry-paths" in names) == ("geometry-residuals-by-run" in names) == drawn
+
+
+def test_a_report_on_slopes_does_not_deny_its_law() -> None:
+    """With loads driven the slopes stand in the table, and no sentence says that there is no law."""
+    loads = np.tile([[200.0, 250.0], [400.0, 300.0], [600.0, 700.0]], (4, 1))
+    routes = [(f"square{sense}", square(2.0, sense)) for sense in (1, -1) for _ in range(6)]
+    truth = Truth(slope_left=2e-6, slope_right=-1e-6)
+    loaded, bare = (campaign(routes, truth, np.random.default_rng(2), loads=of) for of in (loads, None))
+    for driven, denied in ((loaded, False), (bare, True)):
+        pages = report_on(driven)
+        assert ("These runs give no radius law" in str(pages.sections)) == denied
+        assert ("No law of the load" in str(pages.sections)) == denied
+        assert ("slope" in str(pages.sections)) == (not denied)
 
 
 @pytest.mark.usefixtures("undrawn", "estimated_once")

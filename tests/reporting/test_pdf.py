@@ -166,3 +166,21 @@ def test_only_signs_without_a_font_are_replaced(
     assert "20 °C" in text
     assert "№ 3" in text
     assert "[U+30BB][U+30C3]" in text
+
+
+def test_no_row_of_a_table_breaks_across_pages(report: Report, tmp_path: Path) -> None:
+    """Rows of many lines each: first and last word of a row stand on one page."""
+    cells = [(" ".join(["FIRSTWORD", *["word"] * 110, "LASTWORD"]), "1") for _ in range(24)]
+    table = Table("c", (Column("a", align="left", wide=True), Column("b")), tuple(cells))
+    made = replace(report, name="n", sections=(Section("s", (table,)),))
+    marks = "".join(f'#show "{word}": it => [#it#metadata(none)<{word}>]\n' for word in ("FIRSTWORD", "LASTWORD"))
+    pages = "".join(
+        f"#context [#metadata(query(<{word}>).map(one => one.location().page()))<pages>]\n"
+        for word in ("FIRSTWORD", "LASTWORD")
+    )
+    page = (files("calib.reporting") / "page.typ").read_text(encoding="utf-8")
+    (tmp_path / "main.typ").write_text(f"{marks}{page}\n{pages}", encoding="utf-8")
+    (tmp_path / "data.json").write_text(to_json(made.to_dict()), encoding="utf-8")
+    (tmp_path / "coefficients.json").write_bytes(made.attachments[0].data)
+    first, last = json.loads(typst.query(str(tmp_path / "main.typ"), "<pages>", field="value", root=str(tmp_path)))
+    assert first == last and len(first) == 24 and len(set(first)) > 2

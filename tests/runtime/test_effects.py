@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -75,20 +76,23 @@ def test_several_effects_act_together(driven: tuple[Campaign, Observations], tmp
 def test_loads_outside_the_valid_range_are_taken_as_the_odometer_takes_them(
     driven: tuple[Campaign, Observations], tmp_path: Path
 ) -> None:
-    """Clamped to the nearest valid load, 5000 N, law and effects alike, or refused; what is no number always is."""
+    """Clamped to the nearest valid load, 4000 N, law and effects alike, or refused, as is always what none can be."""
     made, s = driven
-    clamping = coefficient_file(made, s, [sections_of("load_creep", s)[0], sections_of("load_dependent_track", s)[0]])
+    made_file = coefficient_file(made, s, [sections_of("load_creep", s)[0], sections_of("load_dependent_track", s)[0]])
+    wheels = made_file.to_dict()["wheels"]
+    wheels["left"]["valid_load"]["max"]["value"] = 4000.0
+    clamping = made_file.changed(wheels=wheels)
     effects, moved = {}, {}
     for file in (clamping, clamping.changed(outside="refuse")):
         path = tmp_path / f"{file.outside}.json"
         path.write_bytes(file.to_bytes())
         effects[file.outside] = Effects.from_file(path)
-    for load_N in (5000.0, 9000.0):
+    for load_N in (4000.0, 5000.0):
         effects["clamp"].begin(Run(load_left_N=load_N, load_right_N=300.0, minutes_under_load=20.0))
         moved[load_N] = effects["clamp"].step(0.1, 0.1, 0.02)
-    assert moved[5000.0] == moved[9000.0]
-    for outside, load_N in (("refuse", 9000.0), ("refuse", np.nan), ("clamp", np.nan), ("clamp", np.inf)):
-        with pytest.raises(CoefficientError, match=r"load_left_N: .*; expected 0 to 5000 N"):
+    assert moved[4000.0] == moved[5000.0]
+    for outside, load_N in [("refuse", 4500.0), *product(("refuse", "clamp"), (np.nan, np.inf, 9000.0, -1.0))]:
+        with pytest.raises(CoefficientError, match=r"load_left_N: .*; expected 0 to 4000 N"):
             effects[outside].begin(Run(load_left_N=load_N, load_right_N=300.0))
         with pytest.raises(CoefficientError, match="expected begin"):
             effects[outside].step(0.1, 0.1, 0.02)

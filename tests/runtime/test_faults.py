@@ -123,6 +123,10 @@ def test_outside_the_range_a_clamping_file_takes_the_end_of_the_range_and_says_s
     np.testing.assert_allclose(odometer.radii_m, [0.0990 - 1.3e-4, 0.0991 - 1.47e-6 * 800], rtol=0, atol=1e-16)
     odometer.set_wheel_loads(300.0, 300.0)
     assert not odometer.pose.clamped
+    for load_N in (-50.0, 0.0, 5000.1):
+        with pytest.raises(OdometerFault, match="LOAD_OUT_OF_RANGE"):
+            odometer.set_wheel_loads(300.0, load_N)
+        assert odometer.feed(0, 0) is Status.LOAD_OUT_OF_RANGE and not odometer.pose.clamped
 
 
 def test_payload_and_position_give_the_wheel_loads_of_equations_1_and_2(file: CoefficientFile) -> None:

@@ -38,6 +38,16 @@ RADIUS_FACTORS: Final = (
     (0.0254, "wheel_radius_m in inches"),
     (1.09361, "a distance in yards, or a nominal radius that is not this wheel's"),
 )
+#: ratio of loads to those of the vehicle -> unit
+LOAD_UNITS: Final = (
+    (1e-3, "kN: name the columns load_left_kN, load_right_kN"),
+    (1 / 9.80665, "kg: name the columns load_left_kgf, load_right_kgf"),
+    (1 / 4.44822, "pounds-force"),
+    (9.80665, "N times 9.81"),
+    (1e3, "mN"),
+    (0.5, "half the load"),
+    (2.0, "the load of both wheels in each column"),
+)
 
 #: number of a run
 Run = int | np.signedinteger[Any]
@@ -67,6 +77,14 @@ implausible_setting: Final = partial(setting_note, code="implausible", level="wr
 def both_sides(campaign: Campaign, quantity: str) -> FloatArray:
     """Return ``counts_{}`` or ``load_{}_N`` of both wheels, shape (2, n_runs)."""
     return np.stack([campaign.runs.number(quantity.format(side)) for side in SIDES])
+
+
+def logged_range(campaign: Campaign, name: str) -> FloatArray:
+    """Return the least and the largest value of a log column in each run, shape (2, n_runs); NaN without it."""
+    ends = np.full((2, len(campaign.runs)), np.nan)
+    for run, log in campaign.logs.each(2, name):
+        ends[:, run] = np.nanmin(log[name]), np.nanmax(log[name])
+    return ends
 
 
 def on_axle(campaign: Campaign) -> Campaign:

@@ -162,13 +162,22 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
             text = f"loads of up to {most:.5g} N are more than the {permitted:g} N that nobody stated; give your own"
             yield checks.setting_note("vehicle.max_wheel_load_N", text, "excess_load")
         permitted = np.inf
+    # no wheel carries more than the vehicle and its heaviest payload weigh
+    mass_kg = campaign.vehicle.mass_kg + np.max(campaign.runs.number("payload_kg"), initial=0.0)
+    known = checks.stated(campaign, "vehicle.mass_kg") and np.isfinite(mass_kg)
+    weight_N = _REAR_SHARE[1] * GRAVITY_MPS2 * mass_kg if known else np.inf
     for name, load in zip(WHEEL_LOADS, loads, strict=True):
-        for run in np.flatnonzero(load <= 0):
-            text = f"found {load[run]:.4g} N; expected more than 0, or the wheel lifts off; check payload and place"
-            yield checks.cell_note(campaign, run, name, text, "impossible_load", "wrong")
-        for run in np.flatnonzero(load > permitted):
-            text = f"found {load[run]:.5g} N; {permitted:g} N is permitted; check the unit (kg or kN in a column of N?)"
-            yield checks.cell_note(campaign, run, name, text, "excess_load")
+        logged = f"log {name}", *checks.logged_range(campaign, name), min(permitted, weight_N)
+        for column, least, most, limit in ((name, load, load, permitted), logged):
+            for run in np.flatnonzero(least <= 0):
+                text = (
+                    f"found {least[run]:.4g} N; expected more than 0, or the wheel lifts off; check payload and place"
+                )
+                yield checks.cell_note(campaign, run, column, text, "impossible_load", "wrong")
+            for run in np.flatnonzero(most > limit):
+                what = "is permitted" if limit == permitted else "is the weight of vehicle and payload"
+                text = f"found {most[run]:.5g} N; {limit:g} N {what}; check the unit (kg or kN in a column of N?)"
+                yield checks.cell_note(campaign, run, column, text, "excess_load")
     if len(lacking := campaign.runs.run_id[np.isnan(loads.sum(axis=0))]):
         text = f"""{len(lacking)} run(s) have no wheel load and no payload with its place to compute it from
             ({checks.listed(lacking)})"""
@@ -232,7 +241,7 @@ def _unit_of_shares(shares: FloatArray) -> str:
     low, high = _REAR_SHARE
     for factor in (1.0 / GRAVITY_MPS2, GRAVITY_MPS2) if len(shares) else ():
         if np.mean(np.abs(shares / factor - 0.5 * (low + high)) <= 0.5 * (high - low)) > checks.MOST_OF_THE_RUNS:
-            return checks.meaning(factor, _LOAD_UNITS)
+            return checks.meaning(factor, checks.LOAD_UNITS)
     return ""
 
 
@@ -287,16 +296,6 @@ _CONTRADICTED: Final = (
 _MOST_PAYLOAD: Final = 1.6
 #: the empty vehicle's load may be this share of what its mass asks for: its mass or place is poorly known
 _LIGHTEST: Final = 0.3
-#: ratio of loads to those of the vehicle -> unit
-_LOAD_UNITS: Final = (
-    (1e-3, "kN: name the columns load_left_kN, load_right_kN"),
-    (1 / 9.80665, "kg: name the columns load_left_kgf, load_right_kgf"),
-    (1 / 4.44822, "pounds-force"),
-    (9.80665, "N times 9.81"),
-    (1e3, "mN"),
-    (0.5, "half the load"),
-    (2.0, "the load of both wheels in each column"),
-)
 
 
 def implausible_loads(campaign: Campaign) -> Iterator[Note]:
@@ -347,7 +346,7 @@ def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray
 
 
 def _in_another_unit(columns: str, ratio: float, what: str, unit: str = "") -> Note:
-    hint = unit or checks.meaning(ratio, _LOAD_UNITS, 0.25)
+    hint = unit or checks.meaning(ratio, checks.LOAD_UNITS, 0.25)
     hint = f"are they in {hint}?" if hint else "check their unit, mass_kg, cog_x_m and wheelbase_m"
     expected = "a fifth of it to all of it" if "weight" in what else "the same within a factor of 2"
     return implausible_column(columns, f"the wheel loads are {ratio:.3g} times {what}; expected {expected}; {hint}")

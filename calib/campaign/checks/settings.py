@@ -9,6 +9,7 @@ from calib.campaign import checks
 from calib.campaign.checks import LEAST_RUNS, SIDES, column_note, listed, raw_radius_ratio, setting_note, stated
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import CLOSED, log_totals
+from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
@@ -32,6 +33,8 @@ STEP_ERROR: Final = 0.02
 REPEATED_VALUES, MOST_REPEATED = 8, 0.8
 #: poses looked at
 MOST_POSES: Final = 10_000
+#: a log's loads are those of its run within this factor
+_SAME_LOADS: Final = float(np.log(2.0))
 #: every log begins so many counts late, to the count
 MOST_SCATTER_COUNTS: Final = 1.0
 
@@ -339,6 +342,41 @@ def late_logs(campaign: Campaign) -> Iterator[Note]:
             text = f"""the table counts {usual:+.0f} against the logs in every run: the logs begin or end at another
                 place than the distance; let the log begin before the vehicle moves"""
             yield column_note(f"counts_{side}", text, "late_logs")
+
+
+def logged_loads(campaign: Campaign) -> Iterator[Note]:
+    """Find wheel loads of logs that are in another unit than the run table's, that stop, or are of one wheel alone."""
+    known, n_logs = np.zeros((2, len(campaign.runs)), dtype=np.bool_), int(campaign.logs.present.sum())
+    for wheel, name in enumerate(WHEEL_LOADS):
+        own, gaps = campaign.runs.number(name), []
+        ratio = np.full(len(own), np.nan)
+        for run, log in campaign.logs.each(2, name):
+            known[wheel, run], at = True, np.flatnonzero(np.isfinite(log[name]))
+            low, high = np.nanmin(log[name]), np.nanmax(log[name])
+            # where the log tells the load from the start on, the run's is among those
+            if at[0] == 0 and min(own[run], low) > 0.0:
+                ratio[run] = np.clip(own[run], low, high) / own[run]
+            # of loads in every sample, not of those written now and then
+            if len(at) < len(log[name]) and len(at) >= LEAST_RUNS and np.median(np.diff(at)) == 1.0:
+                gaps.append(run)
+        if len(off := np.flatnonzero(np.abs(np.log(ratio)) > _SAME_LOADS)):
+            usual = float(np.median(ratio[off]))
+            unit = checks.meaning(usual, checks.LOAD_UNITS, 0.25)
+            hint = f"are they in {unit}?" if unit else "check the unit, and that log and run belong together"
+            text = f"""in {len(off)} log(s) ({listed(campaign.runs.run_id[off])}) the load is {usual:.3g} times the run
+                table's; expected the same within a factor of 2; {hint}"""
+            level = "wrong" if len(off) > checks.MOST_OF_THE_RUNS * n_logs else "suspicious"
+            yield column_note(name, text, "load_unit", level, of="logs")
+        if gaps:
+            text = f"""{len(gaps)} log(s) lack the load in some samples ({listed(campaign.runs.run_id[gaps])}), where
+                the last one is taken to hold; did the load cell fail?"""
+            yield column_note(name, text, "missing_load", of="logs")
+    for name, lacking in zip(WHEEL_LOADS, (known[1] & ~known[0], known[0] & ~known[1]), strict=True):
+        if lacking.any():
+            text = f"""{int(lacking.sum())} log(s) have the load of the other wheel alone
+                ({listed(campaign.runs.run_id[lacking])}), beside which that of the run table holds all the way; log
+                both"""
+            yield column_note(name, text, "missing_load", of="logs")
 
 
 #: beyond, a radius is reported

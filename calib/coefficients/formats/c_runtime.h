@@ -32,11 +32,10 @@ static inline calib_status calib_radius_left(double load_N, double *radius_m)
         return CALIB_NOT_FINITE;
     }
     if (load_N < CALIB_LEFT_LOAD_MIN_N || load_N > CALIB_LEFT_LOAD_MAX_N) {
-#if CALIB_OUTSIDE_CLAMP
+        if (!CALIB_OUTSIDE_CLAMP || load_N <= 0.0 || load_N > CALIB_MAX_WHEEL_LOAD_N) {
+            return CALIB_LOAD_OUT_OF_RANGE;
+        }
         load_N = load_N < CALIB_LEFT_LOAD_MIN_N ? CALIB_LEFT_LOAD_MIN_N : CALIB_LEFT_LOAD_MAX_N;
-#else
-        return CALIB_LOAD_OUT_OF_RANGE;
-#endif
     }
     *radius_m = CALIB_LEFT_RADIUS_REF_M + CALIB_LEFT_SLOPE_M_PER_N * (load_N - CALIB_LEFT_REFERENCE_LOAD_N);
     return CALIB_OK;
@@ -48,11 +47,10 @@ static inline calib_status calib_radius_right(double load_N, double *radius_m)
         return CALIB_NOT_FINITE;
     }
     if (load_N < CALIB_RIGHT_LOAD_MIN_N || load_N > CALIB_RIGHT_LOAD_MAX_N) {
-#if CALIB_OUTSIDE_CLAMP
+        if (!CALIB_OUTSIDE_CLAMP || load_N <= 0.0 || load_N > CALIB_MAX_WHEEL_LOAD_N) {
+            return CALIB_LOAD_OUT_OF_RANGE;
+        }
         load_N = load_N < CALIB_RIGHT_LOAD_MIN_N ? CALIB_RIGHT_LOAD_MIN_N : CALIB_RIGHT_LOAD_MAX_N;
-#else
-        return CALIB_LOAD_OUT_OF_RANGE;
-#endif
     }
     *radius_m = CALIB_RIGHT_RADIUS_REF_M + CALIB_RIGHT_SLOPE_M_PER_N * (load_N - CALIB_RIGHT_REFERENCE_LOAD_N);
     return CALIB_OK;
@@ -64,11 +62,10 @@ static inline calib_status calib_radius_right(double load_N, double *radius_m)
 static inline calib_status calib_radius_left_nm(int32_t load_mN, int32_t *radius_nm)
 {
     if (load_mN < CALIB_LEFT_LOAD_MIN_MN || load_mN > CALIB_LEFT_LOAD_MAX_MN) {
-#if CALIB_OUTSIDE_CLAMP
+        if (!CALIB_OUTSIDE_CLAMP || load_mN <= 0 || load_mN > CALIB_MAX_WHEEL_LOAD_MN) {
+            return CALIB_LOAD_OUT_OF_RANGE;
+        }
         load_mN = load_mN < CALIB_LEFT_LOAD_MIN_MN ? CALIB_LEFT_LOAD_MIN_MN : CALIB_LEFT_LOAD_MAX_MN;
-#else
-        return CALIB_LOAD_OUT_OF_RANGE;
-#endif
     }
     *radius_nm = (int32_t)((CALIB_LEFT_BASE_Q + CALIB_LEFT_SLOPE_Q * (int64_t)(load_mN - CALIB_LEFT_LOAD_MIN_MN)
                             + (INT64_C(1) << (CALIB_LEFT_SHIFT - 1)))
@@ -79,11 +76,10 @@ static inline calib_status calib_radius_left_nm(int32_t load_mN, int32_t *radius
 static inline calib_status calib_radius_right_nm(int32_t load_mN, int32_t *radius_nm)
 {
     if (load_mN < CALIB_RIGHT_LOAD_MIN_MN || load_mN > CALIB_RIGHT_LOAD_MAX_MN) {
-#if CALIB_OUTSIDE_CLAMP
+        if (!CALIB_OUTSIDE_CLAMP || load_mN <= 0 || load_mN > CALIB_MAX_WHEEL_LOAD_MN) {
+            return CALIB_LOAD_OUT_OF_RANGE;
+        }
         load_mN = load_mN < CALIB_RIGHT_LOAD_MIN_MN ? CALIB_RIGHT_LOAD_MIN_MN : CALIB_RIGHT_LOAD_MAX_MN;
-#else
-        return CALIB_LOAD_OUT_OF_RANGE;
-#endif
     }
     *radius_nm = (int32_t)((CALIB_RIGHT_BASE_Q + CALIB_RIGHT_SLOPE_Q * (int64_t)(load_mN - CALIB_RIGHT_LOAD_MIN_MN)
                             + (INT64_C(1) << (CALIB_RIGHT_SHIFT - 1)))

@@ -319,7 +319,7 @@ def patched(
         raise BadInputError("--load: found several loads; expected one, a model has one radius a wheel; give one")
     model = ModelFile(options.model, root_tag)
     reference = LoadPair(file.wheels.left.reference_load.value, file.wheels.right.reference_load.value)
-    asked = options.loads[0] if options.loads else reference
+    asked = options.loads[0] if options.loads else LoadPair(*formats.within_N(file, reference))
     new = NewWheels(*radii_m(file, asked), file.vehicle.track.value)
     pair = LoadPair(*formats.within_N(file, asked))
     clamped = (pair.left_N, pair.right_N) != (asked.left_N, asked.right_N)

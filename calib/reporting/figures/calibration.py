@@ -227,6 +227,8 @@ MOST_RUNS: Final = 6
 MOST_POINTS: Final = 200
 #: beside its residuals
 NAME_LENGTH: Final = 10
+#: parameters whose correlations have room for a zero before the point
+MOST_WITH_ZERO: Final = 6
 #: percentile of the errors that colours span
 SPANNED: Final = 98.0
 #: channels of a residual: title, unit, factor
@@ -357,6 +359,8 @@ def correlations(names: Sequence[str], covariance: FloatArray) -> Figure:
     for (row, column), value in np.ndenumerate(correlation):
         weight = "bold" if row != column and abs(value) > 0.9 else "normal"
         text = f"{value:.2f}".replace("-", "\u2212")
+        # beside many others there is no room for the zero
+        text = text if size <= MOST_WITH_ZERO else text.replace("0.", ".")
         axes.text(column, row, text, ha="center", va="center", color=INK, fontsize=6.0, fontweight=weight)
     axes.set_xticks(range(size), names, rotation=45, ha="right")
     axes.set_yticks(range(size), names)

@@ -169,7 +169,7 @@ def _estimated_from(geometry: Geometry) -> tuple[tuple[str, str], ...]:
 
 
 def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
-    measured = [trace for trace in traces if np.isfinite(trace.reference_m).any()]
+    measured = [trace for trace in traces if np.isfinite(trace.reference_m).all(axis=1).any()]
     if not measured:
         return []
     largest = max(float(np.nanmax(np.hypot(*trace.residual_after[:, :2].T), initial=0.0)) for trace in measured)
@@ -182,6 +182,7 @@ def _path_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
 
 
 def _residual_pictures(traces: tuple[RunTrace, ...]) -> list[Picture]:
+    traces = tuple(trace for trace in traces if np.isfinite(trace.residual_after).any())
     along = [trace for trace in traces if len(trace.seen) > 1]
     ends = [trace for trace in traces if len(trace.seen) < 2]
     alt = f"Residuals along, lateral and in heading against time, of {len(along)} runs"
