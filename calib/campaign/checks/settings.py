@@ -16,27 +16,20 @@ from calib.types import BoolArray, FloatArray, IntArray, few_digits
 #: a worn wheel is a per cent off nominal; both further off to one side are a setting, and further still another wheel
 FAR_FROM_NOMINAL: Final = 0.012
 MOST_FAR: Final = 0.05
-#: wheels that carry what differs by more than this share of both differ by rubber, too
-UNLIKE_LOADS: Final = 0.1
+UNLIKE_LOADS: Final = 0.1  #: wheels that carry what differs by more than this share of both differ by rubber, too
 #: a clock in other units makes a log so many times faster or slower
 CLOCK_FACTORS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-#: a campaign's runs are within this factor of the usual speed
-SPEED_FACTOR: Final = 30.0
-#: only a few runs are a turn off
-MOST_ODD: Final = 0.2
+SPEED_FACTOR: Final = 30.0  #: a campaign's runs are within this factor of the usual speed
+MOST_ODD: Final = 0.2  #: only a few runs are a turn off
 #: a distance so many times what other runs' wheels make of its counts belongs to another run or unit
 ODD_RATIO: Final = 1.3
 #: steps of so many times the reference's uncertainty are not its noise; all are multiples of one to `STEP_ERROR`
 COARSE: Final = 3.0
 STEP_ERROR: Final = 0.02
-#: so many values, and this share of all, repeated tell rounding by themselves
-REPEATED_VALUES, MOST_REPEATED = 8, 0.8
-#: poses looked at
-MOST_POSES: Final = 10_000
-#: a log's loads are those of its run within this factor
-_SAME_LOADS: Final = float(np.log(2.0))
-#: every log begins so many counts late, to the count
-MOST_SCATTER_COUNTS: Final = 1.0
+REPEATED_VALUES, MOST_REPEATED = 8, 0.8  #: so many values, and this share of all, repeated tell rounding by themselves
+MOST_POSES: Final = 10_000  #: poses looked at
+_SAME_LOADS: Final = float(np.log(2.0))  #: a log's loads are those of its run within this factor
+MOST_SCATTER_COUNTS: Final = 1.0  #: every log begins so many counts late, to the count
 
 
 def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
@@ -379,8 +372,7 @@ def logged_loads(campaign: Campaign) -> Iterator[Note]:
             yield column_note(name, text, "missing_load", of="logs")
 
 
-#: beyond, a radius is reported
-_OUTLIER_SPREADS: Final = 6.0
+_OUTLIER_SPREADS: Final = 6.0  #: beyond, a radius is reported
 
 
 def far_from_line(campaign: Campaign) -> Iterator[Note]:
