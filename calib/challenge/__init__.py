@@ -154,7 +154,6 @@ HASH: Final = "truth.sha256"
 _PUBLIC_FORMAT: Final = "calib-challenge/1"
 TRUTH_FORMAT: Final = "calib-challenge-truth/1"
 
-#: a batch has one case
 WEIGHT: Final = 64
 
 T = TypeVar("T")

@@ -69,7 +69,7 @@ class Truth:
     beside: tuple[float | None, ...]
     #: other effects, nearest first, and their distance from the cause in standard deviations
     rivals: tuple[tuple[str, float], ...]
-    noise: Noise  #: noise and model are those of the case
+    noise: Noise
     model: OdometryModel
     n_runs: int
     #: see `Ceiling`: of all effects at this signal; of this one here, None where a recalibration absorbs it

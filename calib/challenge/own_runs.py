@@ -26,7 +26,6 @@ from calib.plant.effects import forms_of
 from calib.plant.signal import CALIBRATION, strength
 from calib.types import FloatArray, Progress, grouped, silent
 
-#: what logged counts cannot be made to show
 NOT_PLANTED: Final = {
     "encoder_gross": "a blunder is found before the search, by trial",
     "integration_scheme": "it is in the simulator, not in the vehicle",
@@ -204,7 +203,7 @@ class Own:
 
     campaign: str
     simulated: bool  #: whether its data were made by a program
-    own_verdict: str  #: of the campaign as it is
+    own_verdict: str
     #: runs, units of the diagnosis, and those whose noise repeats give
     runs: int
     units: int
@@ -212,7 +211,6 @@ class Own:
     found: tuple[Plant, ...]
     empty: tuple[Answer, ...]  #: on campaigns with nothing planted
     left_out: Mapping[str, str]
-    #: diagnoses, and those in time
     asked: int
     done: int
     seed: int
@@ -262,7 +260,6 @@ class Own:
 SIZES: Final = parse_sizes("5s,10s,25s")
 #: empty campaigns for each round of plants
 EMPTY_EACH: Final = 4
-#: what is planted, or nothing, and which time it is
 _Job = tuple[Plant | None, int]
 
 

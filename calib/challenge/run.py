@@ -24,7 +24,6 @@ from calib.gap.predict import predict, residuals
 from calib.io import inside, write_json
 from calib.types import Progress, silent
 
-#: see `achieved`
 Achieved = dict[str, float | None]
 
 

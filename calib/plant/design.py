@@ -168,7 +168,6 @@ def conditions(design: Design) -> IntArray:
     return np.unique(np.array(rows), return_inverse=True)[1].astype(np.int64)
 
 
-#: further columns of a run table
 COLUMNS = ("humidity_pct", "battery_V", "floor_gloss_GU")
 
 DESIGNS: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")

@@ -22,7 +22,7 @@ CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
 #: these act with the square of their size
 _SQUARED: Final = ("beam_misalignment", "path_weave")
 _ABSORBED = 1e-2  # share of a change's norm below which the recalibration absorbs it
-_LARGEST, _SMALLEST = 3.0, 0.05  # of the typical size
+_LARGEST, _SMALLEST = 3.0, 0.05
 
 
 def is_calibration(cause: Cause) -> bool:

@@ -72,7 +72,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
         sentence = "With two loads any law runs through both: straightness cannot be tested; add a third load between."
         return Check("lack_of_fit", NOTE, sentence)
     if runs.fit.design == "confounded":
-        return None  # sessions and loads are one: see the check of sessions
+        return None
     y = runs.fit.residual_m * UM
     line = runs.fit.fitted(runs.session)
     reduced, rank_reduced = _squares(line, y)

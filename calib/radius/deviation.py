@@ -19,7 +19,6 @@ from calib.vehicle import Vehicle
 
 #: halvings, to rounding
 BISECTIONS: Final = 60
-#: of the table without a campaign
 PAPER_DISTANCE_M: Final = 40.0
 
 
@@ -69,10 +68,7 @@ def radius_error(excess: ArrayLike) -> FloatArray:
 def allowed_amplitude_on_run_m(
     tolerance: ArrayLike, wavelength_m: ArrayLike, distance_m: ArrayLike, track_m: float, *, phase_rad: ArrayLike = 0.0
 ) -> FloatArray:
-    """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
-
-    It counts the net turn of a part of a period, too; see `weave_excess`.
-    """
+    """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run."""
 
     def worse(amplitude_m: FloatArray) -> FloatArray:
         excess = weave_excess(amplitude_m, wavelength_m, distance_m, track_m, phase_rad=phase_rad)
@@ -197,7 +193,6 @@ class RunDeviations:
     tolerance: float
     #: what is known of each run, by its name; see `judge_runs`; shape (n_runs,), NaN where unknown
     columns: Mapping[str, npt.NDArray[Any]]
-    #: not judged
     left_out: tuple[UnusedRun, ...]
     notes: tuple[str, ...]
 

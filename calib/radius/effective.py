@@ -44,7 +44,6 @@ class Component:
     #: GUM: ``A`` from repeats, ``B`` from other knowledge
     kind: str
     distribution: str
-    #: in words, with its standard uncertainty
     what: str
     #: contribution to the standard uncertainty of a typical (root mean square) run's radius
     std_left_m: float
@@ -57,15 +56,13 @@ class Component:
 class EffectiveRadii:
     """Effective radii of a campaign, arrays over the runs used, in the order driven."""
 
-    #: as in the run table, shape (n_runs,)
     run_id: StrArray
     session: StrArray
     direction: StrArray
     load_left_N: FloatArray
     load_right_N: FloatArray
-    #: S_O along the corridor, shape (n_runs,)
     distance_m: FloatArray
-    #: effective radii, corrected for the path, shape (n_runs,)
+    #: corrected for the path
     radius_left_m: FloatArray
     radius_right_m: FloatArray
     #: standard uncertainties from rangefinder, quantisation and path (type B, random from run to run), shape (n_runs,)
@@ -82,7 +79,6 @@ class EffectiveRadii:
     #: of a typical run's radius
     budget: tuple[Component, ...] = ()
     left_out: tuple[UnusedRun, ...] = ()
-    #: sentences
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:

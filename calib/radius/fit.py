@@ -36,9 +36,7 @@ WEIGHED_TO: Final = 0.01
 LENGTHS_APART: Final = 30.0
 #: errors of a fifth of each amplitude look like one 0.8 times as large; peak to peak is twice
 OTHER_AMPLITUDE: Final = 1.5
-#: checks that explain the scatter
 EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
-#: columns whose span is reported
 CONDITIONS: Final = (
     "distance_m", "speed_mps", "temperature_C", "payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load",
     "load_left_N", "load_right_N",

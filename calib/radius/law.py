@@ -15,7 +15,6 @@ from scipy.special import chdtri, ndtr, stdtr, stdtridf, stdtrit
 from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats
 
-#: in this order
 JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
 #: and the quantile at its upper end
 COVERAGE: Final = 0.95
@@ -97,7 +96,7 @@ class WheelLaw:
         return self.strata.dof(c, single_run=single_run)
 
     def contrast(self, load_N: ArrayLike) -> FloatArray:
-        """Return 1 and the load above the reference, (..., 2), at `load_N` (any shape)."""
+        """Return (1, load above the reference), (..., 2), at `load_N` (any shape)."""
         offset = floats(load_N) - self.reference_load_N
         return np.stack((np.ones_like(offset), offset), axis=-1)
 

@@ -48,7 +48,6 @@ SERIES_BELOW: Final = 1e-6
 class PathExcess:
     """Relative excess of the paths over S_O, S / S_O - 1; arrays of one shape."""
 
-    #: middle of the rear axle and both wheels
     centre: FloatArray
     left: FloatArray
     right: FloatArray
@@ -86,7 +85,6 @@ def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> Pat
     `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord. The arguments broadcast.
     """
     yaw, distance = np.broadcast_arrays(floats(yaw_rad), floats(distance_m))
-    # np.sinc is sin(pi x) / (pi x)
     return PathExcess.of(1.0 / np.sinc(0.5 * yaw / np.pi) - 1.0, yaw, distance, track_m)
 
 
@@ -103,7 +101,6 @@ class RunPaths(PathExcess):
     phase_rad: FloatArray
     #: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured heading was used
     source: StrArray
-    #: sentences
     notes: tuple[str, ...]
 
 

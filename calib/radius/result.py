@@ -29,9 +29,7 @@ RUNS_FILE: Final = "runs.csv"
 PLAUSIBLE: Final = "plausible"
 #: what ``calib fit --json`` adds for other programs; nothing here reads it
 _ADDED: Final = ("model_comparison",)
-#: for report and certificate
 STATED_SECTIONS: Final = ("report", "certificate")
-#: of `Fit`, written as they are
 _WRITTEN: Final = ("simulated", "static", "notes", "setup", "provenance", "passed", "verdict")
 REMEDY: Final = "make it with 'calib fit CAMPAIGN --into FOLDER'"
 _TEXTS: Final = ("run_id", "session", "direction", "path_source")
@@ -64,7 +62,7 @@ class Fit(Result):
     simulated: bool  #: true where a program made the data
     left: WheelFit
     right: WheelFit
-    radii: EffectiveRadii  #: the runs behind them
+    radii: EffectiveRadii
     #: by wheel, where measured
     static: Mapping[str, WheelFit] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  #: what the user should know, in sentences
@@ -178,7 +176,6 @@ def provenance(campaign: Campaign, arguments: Mapping[str, object]) -> Mapping[s
     record: dict[str, object] = {"version": VERSION, "arguments": dict(arguments), "inputs": inputs}
     for section in STATED_SECTIONS:
         if section in campaign.extra:
-            # dates of TOML become texts
             record[section] = json.loads(json.dumps(campaign.extra[section], default=str))
     if notes := ingest_notes(campaign):
         record["ingest"] = notes

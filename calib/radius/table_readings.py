@@ -103,7 +103,6 @@ def _other_reading(radii: EffectiveRadii) -> str:
     for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
         other = np.where(np.abs(other - loads) < SAME_LOAD, loads, other)
         options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
-        # all of them, or those of a session
         starts = [np.zeros(n), np.ones(n), *days.T[:MAX_CELLS]]
         of_kind = []
         for start in starts if len(other) == 1 else _starts(loads, radius, pairs):
