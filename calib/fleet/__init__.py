@@ -184,7 +184,6 @@ class VehicleResult:
         return "failed" if self.why else "done"
 
 
-#: column of ``vehicles.csv`` -> vehicle -> label
 Labels = Mapping[str, Mapping[str, str]]
 
 

@@ -30,9 +30,10 @@ class PartSums:
     radius_m: float
     sums: "Sequence[WheelSums]" = ()  #: of both wheels; `why` says why there are none
     why: str = ""
+    doubtful: Sequence[str] = ()
     doubtful: Sequence[str] = ()  #: checks of the law that failed
     sources: Sequence[SystematicSource] = ()
-    lines: "Sequence[WheelLine]" = ()  #: of the fit of all runs of a vehicle
+    lines: "Sequence[WheelLine]" = ()
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> "PartSums":

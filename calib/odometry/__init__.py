@@ -21,7 +21,6 @@ from calib.types import FloatArray, IntArray, floats
 #: scheme -> share of a step's turn by which the heading used lies behind that at its end
 HEADING_BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_point": 0.0}
 
-#: ``end_point`` is Eq. 7 as printed
 SCHEMES: Final = tuple(HEADING_BEHIND)
 
 #: steps worth machine code
@@ -117,7 +116,6 @@ def _running(steps: FloatArray, begins: IntArray, start: FloatArray, out: FloatA
     np.cumsum(steps, out=out)
 
 
-#: steps at a time
 _COUNT: Final = 64
 
 #: sum of these steps' half turns up to which the series do

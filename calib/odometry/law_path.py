@@ -35,7 +35,7 @@ class AxleLaw:
     track_std_m: float = 0.0
     walk: RandomWalk | None = None  #: random part of the error; None: none
     vehicle: Vehicle = field(default_factory=Vehicle)
-    notes: tuple[str, ...] = ()  #: what the user should know about the source
+    notes: tuple[str, ...] = ()
     simulated: bool = False  #: whether a program made the data of the law
 
 
@@ -107,6 +107,7 @@ class LawPath:
     """A journey under a law, with and without the correction."""
 
     loading: Loading
+    reference_N: tuple[float, float]
     reference_N: tuple[float, float]  #: loads of the uncorrected odometry
     distance_m: FloatArray  #: shape (n,): distance along the route
     reference: Poses  #: the route, shape (n,)
@@ -257,7 +258,7 @@ def _from_start(values: FloatArray) -> FloatArray:
 class Interval:
     """95 % interval of one component of the end error."""
 
-    value: float  #: with the law's mean radii
+    value: float
     linear: tuple[float, float]  #: by linear propagation with Student's t
     monte_carlo: tuple[float, float]  #: 2.5 and 97.5 % quantiles of the draws
 
@@ -272,12 +273,12 @@ class Interval:
 class Journey:
     """End errors of one journey without and with the correction."""
 
-    #: wheel loads carried
     load_left_N: float
     load_right_N: float
     #: wheel loads whose radii the uncorrected odometry uses
     reference_left_N: float
     reference_right_N: float
+    band: str
     band: str  #: ``mean`` or ``prediction``
     #: error along, lateral, of heading, and global x and y
     without: dict[str, Interval]

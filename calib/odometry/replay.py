@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 #: with what the simulator believes; with the law's radii, unladen; at the load of each run, or step (Fig. 7)
 METHODS = ("model", "constant", "corrected")
 
-#: of the bootstrap over runs
 RESAMPLES: Final = 2000
 
 
@@ -38,7 +37,7 @@ class Replay(Result):
     """End poses of logged runs by each odometry of `METHODS`, against the reference."""
 
     campaign: str
-    simulated: bool  #: whether a program made its data
+    simulated: bool
     #: shape (n,): runs with a log and a reference end pose
     run_id: StrArray
     kind: StrArray
@@ -48,6 +47,7 @@ class Replay(Result):
     distance_m: FloatArray  #: shape (n,): driven by the reference law
     reference: Poses  #: reference end poses, shape (n,)
     ends: dict[str, Poses]
+    errors: dict[str, PoseErrors]
     errors: dict[str, PoseErrors]  #: odometry minus reference
     in_range: BoolArray  #: shape (n,): whether the law was measured at all its loads
     #: rms end error of position and heading over the runs in range
@@ -60,7 +60,7 @@ class Replay(Result):
     left_out: dict[str, int]  #: runs that could not be compared, by reason
     #: whether a front wheel or four wheels drive the odometry: ``constant`` is ``corrected``, the runtime not fed
     by_geometry: bool = False
-    notes: tuple[str, ...] = ()  #: what had to be assumed
+    notes: tuple[str, ...] = ()
 
     @property
     def table(self) -> "DataFrame":

@@ -104,7 +104,6 @@ def _square(side_m: float, turn_rad: float) -> tuple[Segment, ...]:
 
 QUARTER: Final = math.pi / 2
 
-#: a new route is one line here
 NAMED: Final[Mapping[str, tuple[Segment, ...]]] = {
     "corridor": (straight(40.0),),
     "straight15": (straight(15.0),),

@@ -106,7 +106,7 @@ class Case:
 class Sweep:
     """Vehicles with different radii on one route."""
 
-    route: Route  #: the route, undivided
+    route: Route
     track_m: float
     cases: tuple[Case, ...]
     distance_m: FloatArray  #: shape (n_points,): distance along the route at each point
@@ -153,7 +153,6 @@ def run_sweep(
 PAPER_BEFORE_M: Final = 1.1
 PAPER_AFTER_M: Final = 0.06
 
-#: as the paper states it
 PAPER_TRACK_M: Final = 0.7
 
 
@@ -242,7 +241,7 @@ class LawPart:
     table: tuple[TableRow, ...]  #: table 1 and the bands of Fig. 15
     journeys: tuple[Journey, ...]  #: without and with correction, for each pair of loads and each band
     path: LawPath  #: along the last route, under the loads that change on the way, or else the first pair
-    notes: tuple[str, ...]  #: what the reader should know
+    notes: tuple[str, ...]
     simulated: bool  #: whether a program made the data of the law
 
 

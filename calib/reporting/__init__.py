@@ -56,7 +56,6 @@ def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
     return "Next: " + text.format(**quoted)
 
 
-#: kind -> what draws it
 Drawings = Mapping[str, "Callable[[], Figure]"]
 
 

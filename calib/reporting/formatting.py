@@ -170,7 +170,6 @@ def in_words(name: str) -> str:
 
 
 WIDTH: Final = 80
-#: widest names in a list of facts
 _NAME: Final = 26
 _SIGNS: Final = str.maketrans({"−": "-", "→": "->", "\u2007": " ", "\u2008": " ", "\u200b": "", "\u00a0": " "})
 EQUATIONS: Final = reporting.catalogue()["equation"]
@@ -249,7 +248,6 @@ def _facts(rows: Sequence[tuple[str, str]], width: int) -> list[Line]:
 GAP: Final = 2
 #: wider texts may wrap
 LONG: Final = 30
-#: least, of sentences
 NARROW: Final = 24
 
 

@@ -43,7 +43,6 @@ PATH_STYLES: Final = {
     "after": ("solid", "square", "simulated with the causes"),
     "reference": ("dotted", "x", "measured"),
 }
-#: beside a cause
 ALIASES_NAMED: Final = 3
 #: opacity of what is not selected, and a panel's size in pixels: two side by side where there is room
 FADED_ALPHA: Final = 0.12
@@ -258,7 +257,6 @@ TRACE_POINTS: Final = 120
 ALONG: Final = {"along (mm)": 1, "heading (mrad)": 2}
 #: what the gap along a run is drawn against -> its column there
 RUN_AXES: Final = {"travelled distance (m)": 0, "time (s)": 3}
-#: colour panels and choose runs
 LABELS: Final = ("kind", "session", "run")
 
 

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 #: a PDF carries no earlier date of creation
 FIRST_YEAR: Final = 1970
-#: probability
 SURE_FROM: Final = 0.9
 
 
@@ -154,7 +153,6 @@ def doubtful_causes(causes: Iterable[tuple[str, float]]) -> str:
 STATED: Final[Mapping[str, str]] = catalogue()["stated"]
 #: keys whose absence a reader need not be told
 OPTIONAL: Final = frozenset({"remarks", "deviations", "prepared", "method", "replaces", "logo"})
-#: that a page can carry
 _PICTURES: Final = (".svg", ".png", ".jpg", ".jpeg")
 #: a larger logo is a photograph by mistake
 _LARGEST: Final = 2_000_000

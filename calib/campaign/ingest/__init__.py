@@ -34,7 +34,6 @@ _MOSTLY_NUMBERS: Final = 0.8
 _LEAST_NAMES: Final = 2
 
 
-#: what is said of run tables in several folders
 OF_FOLDERS: Final = "their runs become one campaign; several vehicles: ingest one by one, then 'calib fleet'"
 
 

@@ -21,7 +21,6 @@ from calib.types import SUFFIXES, BoolArray, FloatArray, floats, split_suffix, u
 _BEHIND: Final = re.compile(
     r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total|rpm))+$"
 )
-#: in names of either side -> its letter
 _LETTERS: Final = (
     {"SIDE": "left", "INITIAL": "l", "FRENCH": "g", "ITALIAN": "s", "SWEDISH": "v"},
     {"SIDE": "right", "INITIAL": "r", "FRENCH": "d", "ITALIAN": "d", "SWEDISH": "h"},

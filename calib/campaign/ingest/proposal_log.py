@@ -39,7 +39,6 @@ _DAY_STEP: Final = 5e-5
 #: least step of whole-number times -> unit; loggers sample at 1 Hz to 1 kHz
 _STEPS: Final = ((1e6, "ns"), (1e3, "us"), (1.5, "ms"))
 _PAIR: Final = ("counts_left", "counts_right")
-#: wheels at four corners, by their sides, front first
 _CORNERS: Final = {
     "counts_left": ("counts_front_left", "counts_rear_left"),
     "counts_right": ("counts_front_right", "counts_rear_right"),
@@ -49,7 +48,6 @@ _COUPLED: Final = 0.02
 _LEVEL: Final = 0.1
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
 _TWIST: Final = ("v_mps", "omega_radps")
-#: end of the name of a quaternion's z: no heading
 _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
 #: stem of a pose that no tracker is named in: the vehicle's own, perhaps
 _NO_TRACKER: Final = re.compile(r"((robot|base)_)?(pose?|pos(ition)?)?_?(x|y|theta|yaw|heading)")

@@ -308,7 +308,6 @@ def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
 
 
 def _tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
-    # a text with empty lines for those without cells; lines that begin with # are remarks, but for one right above the
     notes: list[Note] = []
     if layout.skip_rows:
         lines = data.split(b"\n")

@@ -50,7 +50,6 @@ _BRACKETED: Final = re.compile(r"[\[(].*[\])]")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
 _UNIT_AT_END: Final = re.compile(r"[\[(][^\[\]()]*[\])]\s*$")
 _WITH_UNIT: Final = re.compile(r"([+-]?\d[\d.,'\s]*?)\s*([^\W\d_][^\d\s]*|°\w?|%)")
-#: names of rows that sum up others
 SUMMARY: Final = re.compile(
     r"(mean|average|avg|sum|total|std|st\.?\s?dev|std\.?\s?dev|sd|min|max|minimum|maximum|median|mittel(wert)?|mw|summe"
     r"|gesamt|standardabweichung|st(d|and)?abw|durchschnitt|moyenne|somme|ecart.type|écart.type|media|suma|somma|ø|σ|Σ)\W*",

@@ -345,7 +345,6 @@ def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int |
         except ValueError:
             return out, index
         if index and out[index] < out[index - 1] - _HALF_DAY_NS and _TIMES["time_of_day"].fullmatch(str(cell).strip()):
-            # past midnight
             passed_ns += 2 * _HALF_DAY_NS
             out[index] += 2 * _HALF_DAY_NS
     return out, None

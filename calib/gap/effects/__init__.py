@@ -16,16 +16,11 @@ from calib.types import FloatArray
 
 
 class Family(StrEnum):
-    """Effects that act through the same thing, so that one represents another where the runs vary too little.
-
-    Grouped by physics, not by residuals: unequal radii and a reference's yaw look alike on straight runs, but are put
-    right differently.
-    """
+    """Effects that act through the same thing, so that one represents another where the runs vary too little."""
 
     words: str  #: what is sure where only the family is, as a clause
 
     def __new__(cls, value: str, words: str) -> "Family":
-        """Make a member of its name in files and its clause."""
         member = str.__new__(cls, value)
         member._value_, member.words = value, words
         return member
@@ -98,7 +93,7 @@ class Form:
 
     effect: str
     label: str  #: which form, for example ``exponent 0.7``; empty where there is one only
-    parameters: tuple[Parameter, ...]  #: the parameters that the data choose
+    parameters: tuple[Parameter, ...]
     #: path -> one `Perturbation` a parameter, per unit of the parameter
     perturbations: Perturbations
     #: not fitted linearly: an exponent, a time constant, a place
@@ -135,7 +130,6 @@ class Form:
         return np.array([p.typical for p in self.parameters])
 
 
-#: label, parameters and perturbations of a form
 Offer = tuple[str, tuple[Parameter, ...], Perturbations]
 
 
@@ -155,7 +149,7 @@ class Effect(ABC):
     needs_calibration: ClassVar[bool] = False
     #: whether it is nothing at a known point (the model's reference load, no payload, a straight): then no shift is
     zero_known: ClassVar[bool] = False
-    family: ClassVar[Family] = Family.OWN  #: effects that act through the same thing
+    family: ClassVar[Family] = Family.OWN
     needs: ClassVar[str] = ""  #: what a campaign has to hold for the effect to show; a phrase
     separates: ClassVar[str] = ""  #: the runs that tell it from what looks alike; a phrase
     #: what a plain recalibration would change in its place; empty for all but the calibration's own

@@ -169,10 +169,7 @@ _STRAIGHT_ANGLE_RAD: Final = 0.2
 
 
 class EncoderBlunder(Effect):
-    """Factors of 2, 4, 10, pi on one wheel or both, swapped wheels, a sign.
-
-    Such gaps are far from linear: `find_blunder` tries each blunder in full before the search; there are no forms.
-    """
+    """Factors of 2, 4, 10, pi on one wheel or both, swapped wheels, a sign: `find_blunder` tries each in full."""
 
     id = "encoder_gross"
     title = "a blunder of the encoders"
@@ -212,7 +209,7 @@ class Blunder:
 
     @property
     def factors(self) -> dict[str, float]:
-        """What the counts are multiplied by, as the parameters that a verdict and a coefficient file show."""
+        """The factors, as a verdict and a coefficient file show them."""
         return {"factor_left": self.left, "factor_right": self.right}
 
     @classmethod

@@ -109,7 +109,6 @@ class FloorZone(Effect):
         places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()
 
         def place(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Return x (nowhere without a log), y and the cosine of the heading on the floor, as every cell asks."""
             if path not in places:
                 x, y = floor_place(path, path.s.here(far_end))
                 x[~path.s.from_log[path.s.unit]] = np.inf
@@ -249,10 +248,7 @@ class RearDrag(Effect):
     shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each wheel and sense; none where everything rolls and goes one way.
-
-        One sense of a wheel is the other with another radius: the one that leaves the radius alone is more probable.
-        """
+        """Return a form for each wheel and sense; none where everything rolls and goes one way."""
         backward = observations.total(np.where(observations.path_m < 0.0, -observations.path_m, 0.0))
         rolls_back, applied = bool((backward > LEAST_BACKWARD_M).any()), observations.applied
         # of each sense, the observations that have it; None where they have both, and steps tell
@@ -315,7 +311,6 @@ def _rolls_back(observations: Observations) -> BoolArray:
     return np.asarray(np.maximum(observations.travel_left_m, observations.travel_right_m) < 0.0)
 
 
-#: heading on the floor -> share by step
 _Share = Callable[[FloatArray], FloatArray]
 
 

@@ -95,9 +95,7 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     radii.PathWeave,
     simulator.IntegrationScheme,
 )
-#: id -> class
 REGISTRY: Final = {effect.id: effect for effect in EFFECTS}
-#: origin of the registered effects
 LIBRARY: Final = Effect.origin
 #: smallest change of a channel (m or rad): no instrument resolves a micrometre
 UNCHANGED: Final = 1e-6
@@ -183,7 +181,7 @@ class EffectSignature:
     factor: float  #: enlargement over the typical size
 
     def rms_by_kind(self) -> dict[str, FloatArray]:
-        """Return the root mean square change of each channel, shape (n_channels,), by kind of run."""
+        """Return each channel's rms change (n_channels,), by kind of run."""
         kinds = self.enlarged.s.labels["kind"]
 
         def rms(square: FloatArray) -> FloatArray:
@@ -194,7 +192,7 @@ class EffectSignature:
 
 
 def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
-    """Return the signature of an effect on the runs of a path; None where it has no form there."""
+    """Return an effect's signature on the runs of a path; None where it has no form there."""
     observations = nominal.s
     offered: list[tuple[float, Form, list[Perturbation], FloatArray]] = []
     for form in effect.forms(observations):

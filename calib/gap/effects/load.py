@@ -163,13 +163,12 @@ class LoadCreep(_OfLoad):
             return []
         # the middle of the run stands for the run: a tau of minutes hardly moves within it
         t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0
-        # nothing creeps before the load is there
         t = np.maximum(t, 0.0)
         typical = 1.5e-6 * mean_radius_m(observations) * softness(observations)
         creep = Parameter("creep", "m/N", typical, largest=2e-5 / 1.5e-6 * typical, sign=1)
         parameters = tuple(replace(creep, name=name) for name in _sides(observations, "creep"))
         unladen = observations.vehicle.unladen_load_N
-        # the load before it (2, n_obs), from which the band creeps to the present one; None for the load itself, and
+        # the load before it (2, n_obs), from which the band creeps to the present one; None for the load itself
         creeps: list[tuple[str, FloatArray | None, Centre | None]] = [("whole load", None, None)]
         if loads_vary(observations):
             creeps.append(("load above the unladen", None, Centre(unladen)))
@@ -201,7 +200,6 @@ def _load_before_N(loads: FloatArray, first: float, same_N: float) -> FloatArray
 
 
 MAX_PAYLOADS: Final = 6
-#: effects that give the radii a slope, by id
 LOAD_LAWS: Final = (LoadRadius.id, LoadRadiusNonlinear.id)
 
 

@@ -224,5 +224,4 @@ RESTATED: Final[dict[str, tuple[type[DisplacedSensor | LateReference], slice]]] 
     ReferenceLatency.id: (LateReference, slice(2, 3)),
 }
 
-#: mistakes of the mounting, corrected before causes are sought
 Mounting = TurnedReference | DisplacedSensor | LateReference

@@ -1,7 +1,4 @@
-"""Radii and track off by what a plain recalibration absorbs, or drifting with temperature, use, session or speed.
-
-And what seems to be of the radii: skids at stops, a path that weaves.
-"""
+"""Radii and track off by what a recalibration absorbs, or drifting; skids at stops, a path that weaves."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -106,9 +103,7 @@ NAMES: Final = tuple(effect.id for effect in _OWN)
 DIRECTIONS: Final = np.array([effect.calibration_direction for effect in _OWN])
 #: relative change of (left radius, right radius, track) -> size of each, shape (3, 3)
 OF_WHEELS: Final = np.linalg.inv(DIRECTIONS[:, :3].T)
-#: typical size of each, shape (3,)
 TYPICAL: Final = np.array([effect.parameter.typical for effect in _OWN])
-#: what a plain recalibration would change, by effect
 HIDES_IN: Final = {effect.id: effect.hides_in for effect in _OWN}
 
 

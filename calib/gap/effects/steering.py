@@ -16,26 +16,26 @@ FARTHEST_STRAIGHT_RAD: Final = 0.35
 
 
 def has_front(observations: Observations) -> BoolArray:
-    """Return which observations have the front wheel's counts and steering angle, shape (n_obs,)."""
+    """Return which observations have front counts and steering angle, (n_obs,)."""
     if observations.by_front:
         return np.isfinite(observations.total(observations.front_roll_rad + observations.steer_rad))
     return observations.usable[:, Channel.STEERING]
 
 
 def front_travel_m(observations: Observations) -> FloatArray:
-    """Return the front wheel's travel of each step, 0 where it was not logged, shape (n_steps,)."""
+    """Return the front wheel's travel of each step, 0 where not logged, (n_steps,)."""
     logged = has_front(observations)[observations.unit]
     roll_rad = np.where(logged, np.nan_to_num(observations.front_roll_rad), 0.0)
     return roll_rad * observations.model.steered(observations.vehicle).radius_m
 
 
 def front_turn_rad(observations: Observations) -> FloatArray:
-    """Return the turn of each step by the front wheel, 0 where it was not logged, shape (n_steps,)."""
+    """Return each step's turn by the front wheel, 0 where not logged, (n_steps,)."""
     return front_travel_m(observations) * observations.steer_sin / observations.vehicle.wheelbase_m
 
 
 def steer_rad(observations: Observations) -> FloatArray:
-    """Return the logged steering angle of each step, 0 where it was not logged, shape (n_steps,)."""
+    """Return each step's logged steering angle, 0 where not logged, (n_steps,)."""
     return np.nan_to_num(observations.steer_rad)
 
 

@@ -126,7 +126,7 @@ def path_after(
 
 
 def recalibration_columns(path: Path) -> FloatArray:
-    """Return the derivative by a recalibration of unit prior variance, (n_units, 6, 4); zero where it is held."""
+    """Return the derivative by a recalibration of unit prior variance, (n_units, 6, 4)."""
     return path.calibration * (0.0 if path.s.calibration_held else CALIBRATION_SD)
 
 
@@ -296,10 +296,7 @@ def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
 
 
 def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int, slice, FloatArray]]:
-    """Yield form number, observations and their signatures times typical sizes, (n, 6, n_parameters).
-
-    Each part of the path is visited once.
-    """
+    """Yield form number, observations and their signatures times typical sizes, (n, 6, n_parameters)."""
 
     def columns(part: Path, form: Form, pushes: Sequence[Perturbation]) -> FloatArray:
         signatures = [signature(part, push) * size for push, size in zip(pushes, form.typical, strict=True)]

@@ -17,7 +17,6 @@ from calib.gap.observations import Observations
 from calib.gap.predict import Path, residuals
 from calib.types import BoolArray, FloatArray
 
-#: columns of a recalibration
 N_CALIBRATION: Final = 4
 #: keeps a covariance positive definite, relative to its diagonal
 _ROUNDING: Final = 1e-11
@@ -347,7 +346,7 @@ class HeldOutFit:
 
     @cached_property
     def all_estimates(self) -> FloatArray:
-        """Estimates on all runs, shape (p,)."""
+        """Shape (p,)."""
         return self.weighting.solve(self.columns, self.precision)[0]
 
     @cached_property
@@ -395,6 +394,6 @@ class HeldOutFit:
         return fitting.squares_by_unit(self.fitted.path, self.noise, residuals)
 
     def spread(self, change: FloatArray, units: BoolArray) -> float:
-        """Return the gap's standard deviation along a change of some units' readings."""
+        """See `Weighting.spread`."""
         white = whitened(self.fitted.path, self.noise, change)
         return self.weighting.spread(white[self.weighting.system.blocks.order], units)

@@ -19,7 +19,6 @@ from calib.types import BoolArray, FloatArray
 
 #: forms of an effect kept beside the best
 _FORMS_PER_EFFECT: Final = 2
-#: steps of one pass
 _MAX_STEPS: Final = 24
 #: log-evidence window of scales of the lack of fit weighed while stepping
 _ACTIVE_WINDOW: Final = 9.0
@@ -228,7 +227,7 @@ class LocalSearch:
         return models, _total(self.weigh(models, self.active()))
 
     def make_current(self, model: Model) -> None:
-        """Take a model as the current one, new effects at fitting sizes."""
+        """Take a model as the current one."""
         active = self.active()
         weight = self.weigh([model], active)[:, 0]
         share = np.exp(weight - weight.max())

@@ -11,7 +11,6 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: degrees of freedom of the noise level before the gap is looked at
 FLOOR_DOF: Final = 20.0
-#: hypotheses weighed at a time
 _BATCH_SIZE: Final = 400
 #: entries of their scalar products at a time: 1 MB stays in the cache
 _BATCH_ENTRIES: Final = 2**17

@@ -43,9 +43,7 @@ MAX_GROWTH_RATIO: Final = 2.0
 MAX_LOG_RATIO: Final = 4.6
 #: windows joined to a longer one
 JOINED_WINDOWS: Final = (1, 2, 4, 8)
-#: fewest windows of a length
 MIN_WINDOWS: Final = 4
-#: channels of a pose
 POSE_CHANNELS: Final = slice(1, 4)
 
 
@@ -102,7 +100,7 @@ class Noise:
     scales: dict[str, float]
     dof: float  #: from replicates, else 0
     weight: FloatArray  #: shape (n_units,): 1, less far from the repeats
-    supported: bool = True  #: whether the runs support a noise level
+    supported: bool = True
     support: str = ""  #: by what, in words; else why not
     #: shape (6,): median noise level over that of stated sigmas and typical walks; NaN without the channel
     excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))

@@ -174,7 +174,7 @@ class NoiseComponents:
         return np.asarray(0.5 / np.maximum(spread, 1e-9))
 
     def select(self, units: IntArray) -> "NoiseComponents":
-        """Return the shapes of some units."""
+        """Return those of some units."""
         kernels = np.ascontiguousarray(self.kernels[:, units])
         return NoiseComponents(kernels, self.fixed[units], self.usable[units], self.active)
 

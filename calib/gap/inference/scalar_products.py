@@ -95,7 +95,7 @@ class FormPriors:
         return FormPriors(tuple(forms), layout, most, sign, own, log_prior, by_count, is_law)
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
-        """Return models' columns and their forms, both (n_models, width), else -1."""
+        """Return models' columns and forms, both (n_models, width), else -1."""
         form, row = _forms_of(models)
         counts = self.layout.counts[form]
         at, row, owner = (np.repeat(each, counts) for each in (self.layout.starts[form], row, form))

@@ -16,7 +16,6 @@ from calib.gap.observations.from_campaign import edges_along
 from calib.odometry.poses import poses_of_vehicle
 from calib.types import FloatArray, IntArray
 
-#: fields of a place that is a stretch
 STRETCH_FIELDS: Final = ("route", "coordinate", "place", "place_ci95", "by_direction", "floor")
 
 
@@ -62,7 +61,6 @@ MIN_CLUSTERS: Final = 8
 MIN_SAMPLES: Final = 10
 COUNT_COLUMNS: Final = ("t_s", "counts_left", "counts_right")
 RANGE_COLUMNS: Final = ("range_m",)
-#: channels traced along the way -> field of a trace
 TRACED_CHANNELS: Final = {Channel.ALONG: "along_m", Channel.HEADING: "heading_rad"}
 GRID_SPACING_M: Final = 0.25
 MAX_GRID_POINTS: Final = 120

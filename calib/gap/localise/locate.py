@@ -65,7 +65,6 @@ class RunDeviation:
         return plain_fields(self, channel=self.channel.label)
 
 
-#: name of all channels together
 ALL_CHANNELS: Final = "all"
 
 

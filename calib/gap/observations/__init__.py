@@ -42,7 +42,6 @@ class Channel(IntEnum):
 
 
 N_CHANNELS: Final = len(Channel)
-#: channels of an end pose's position
 POSE: Final = (Channel.ALONG, Channel.LATERAL)
 
 #: steps worked on at a time: some forty arrays of half a megabyte mostly stay in the processor's cache
@@ -60,7 +59,6 @@ MOST_SMOOTHED_STEPS: Final = 10
 #: turn below which a run without a log is one arc
 STRAIGHT_RAD: Final = 0.35
 
-#: fields of `Observations` with a value for each step
 _OF_STEPS: Final = frozenset(
     {"roll_left_rad", "roll_right_rad", "phase_left_rad", "phase_right_rad", "time_s", "duration_s"}
     | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_rad", "carried_N"}
@@ -86,7 +84,7 @@ class _KeptIfFew(Generic[Value]):
 class Observations:
     """A campaign's observations and steps."""
 
-    vehicle: Vehicle  #: geometry and mass
+    vehicle: Vehicle
     model: OdometryModel  #: what the simulator believes
     #: shape (n_units + 1,): observation u has steps ``starts[u]:starts[u + 1]``, at least one
     starts: IntArray
@@ -266,12 +264,12 @@ class Observations:
 
     @cached_property
     def radius_left_m(self) -> FloatArray:
-        """Radius that the model believes of the left wheel in each observation, shape (n_obs,)."""
+        """The model's radius of the left wheel in each observation, (n_obs,)."""
         return np.asarray(self.radii_m(self.wheel_loads_N)[0])
 
     @cached_property
     def radius_right_m(self) -> FloatArray:
-        """Radius that the model believes of the right wheel in each observation, shape (n_obs,)."""
+        """The same of the right wheel."""
         return np.asarray(self.radii_m(self.wheel_loads_N)[1])
 
     def _wide(self, radii_m: FloatArray) -> FloatArray:
@@ -279,12 +277,12 @@ class Observations:
 
     @_KeptIfFew
     def travel_left_m(self) -> FloatArray:
-        """Left wheel's travel of each step by the model, shape (n_steps,)."""
+        """Left wheel's travel of each step by the model, (n_steps,)."""
         return self.roll_left_rad * self._wide(self.radii_m(self.loads_N)[0])
 
     @_KeptIfFew
     def travel_right_m(self) -> FloatArray:
-        """Right wheel's travel of each step by the model, shape (n_steps,)."""
+        """Return that of the right wheel, (n_steps,)."""
         return self.roll_right_rad * self._wide(self.radii_m(self.loads_N)[1])
 
     @_KeptIfFew

@@ -34,7 +34,6 @@ FILLED: Final = ("temperature_C", "minutes_under_load")
 PLAUSIBLE_VALUES: Final = {"temperature_C": (-50.0, 60.0)}
 #: and further than so many widths of the middle half from the median: 30 standard deviations if normal
 MOST_SPREADS: Final = 20.0
-#: share that is a few
 MOST_ODD: Final = 0.2
 #: load over the empty vehicle's of a vehicle that carries nothing: load cells differ by a per cent
 MOST_OF_EMPTY: Final = 1.02

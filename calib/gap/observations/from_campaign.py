@@ -29,7 +29,6 @@ from calib.types import FloatArray, IntArray
 
 #: fewer runs are cut into windows
 MIN_WHOLE_RUNS: Final = 12
-#: longest window
 WINDOW_M: Final = 4.0
 #: windows of all recordings
 WINDOWS_WANTED: Final = 48
@@ -39,7 +38,6 @@ MIN_WINDOW_TRACKS: Final = 1.5
 LOADS_VARY: Final = 0.05
 #: of a millimetre the square is a part in 1e18 of this distance's: double precision ends there
 LONGEST_RUN_M: Final = 1e6
-#: fewest samples of a window
 MIN_WINDOW_SAMPLES: Final = 4
 
 

@@ -80,7 +80,6 @@ class Observation:
         return len(self.left_rad) - 1
 
 
-#: fields of `Observation` with a value for each sample
 ALONG_RUN: Final = ("time_s", "left_rad", "right_rad", "front_rad", "steer_rad", "aside_m", *WHEEL_LOADS)
 
 

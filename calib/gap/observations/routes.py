@@ -27,7 +27,6 @@ class WheelTravel:
     """Steps of all observations, end to end, by wheels and model."""
 
     starts: IntArray  #: shape (n_obs + 1,): observation u has steps ``starts[u]:starts[u + 1]``
-    #: shape (n_steps,): travel
     left_m: FloatArray
     right_m: FloatArray
     track_m: float

@@ -73,7 +73,7 @@ class SimulatorSettings(BaseModel):
 
     @property
     def path(self) -> Path:
-        """Of the file, in whose folder the command runs."""
+        """The file; the command runs in its folder."""
         return self._path
 
     @property

@@ -28,7 +28,6 @@ from calib.types import FloatArray, Progress
 #: bytes of output kept for an error
 KEPT_BYTES: Final = 4096
 SHOWN_CHARACTERS: Final = 300
-#: stage of the progress
 RUNS_STAGE: Final = "simulator runs"
 #: between looks at a run, and for an interruption
 LOOK_S: Final = 0.05
@@ -40,7 +39,7 @@ class Job:
 
     parameters: dict[str, float]
     what: str
-    repeat: int = 0  #: among runs with the same parameters
+    repeat: int = 0
 
 
 class _Stopped(Exception):
@@ -56,7 +55,7 @@ class SimulatorRunner:
     run_ids: Sequence[str]
     cache: RunCache
     workers: int
-    progress: Progress  #: see `calib.types.Progress`
+    progress: Progress
     asked: int = 0
     ran: int = 0  #: of these, not kept already
     seconds: list[float] = field(default_factory=list)  #: wall time of each run

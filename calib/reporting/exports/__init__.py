@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 #: format -> module of this package, whose ``render(path, accept, progress)`` returns the files
 FORMATS: Final[dict[str, str]] = {"dcc": "dcc", "mcap": "mcap_paths", "nav2": "nav2"}
-#: formats that are no text
 BINARY: Final = frozenset({"mcap"})
 
 

@@ -23,13 +23,11 @@ from calib.types import FloatArray, Progress, evenly
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-#: between runs
 PAUSE_S: Final = 2.0
 #: of a path; more are thinned evenly
 MOST_POSES: Final = 1000
 #: of a run without a log
 UNKNOWN_SPEED_MPS: Final = 1.0
-#: frame of all poses
 FRAME: Final = "start"
 PATHS: Final = ("measured", "simulated", "corrected")
 NUMBERS: Final = ("gap", "gap_corrected", "noise")

@@ -39,9 +39,7 @@ DEFAULT_ALPHA: Final = 0.2
 BOUNDS: Final = np.geomspace(1e-15, DEFAULT_ALPHA, 10_000)
 #: rise of the misfit beyond chance: half of the 90 % quantile of chi^2, for a size that cannot be negative
 BEYOND_CHANCE: Final = 1.353
-#: parts in which runs are held out
 FOLDS: Final = 10
-#: of the interval of a ratio
 COVERAGE: Final = 0.95
 
 
