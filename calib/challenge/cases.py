@@ -19,7 +19,7 @@ from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
 from calib.types import FloatArray, grouped
 
-_UNSIGNED: Final = ("encoder_gross", "integration_scheme")
+UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: only positive sizes have a meaning
 ONE_SIGN: Final = (
     "lost_counts", "beam_misalignment", "floor_undulation", "path_weave", "load_creep", "wear", "reference_latency",
@@ -125,11 +125,11 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     model = random_model(design, rng)
     causes = []
     for cause in as_causes(dict.fromkeys(recipe.effects, np.nan), design, rng):
-        sign = 1.0 if cause.effect in (*_UNSIGNED, *ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
+        sign = 1.0 if cause.effect in (*UNSIGNED, *ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
         causes.append(replace(cause, size=sign * cause.size))
     signals: tuple[float | None, ...] = (None,) * len(causes)
     beside, near, best, own = signals, tuple[tuple[str, float], ...](), None, None
-    if causes and not any(cause.effect in _UNSIGNED for cause in causes):
+    if causes and not any(cause.effect in UNSIGNED for cause in causes):
         causes, noise, shown = to_signal(design, model, noise, causes, recipe.targets)
         signals, beside = tuple(round(v, 3) for v in shown.alone), tuple(round(v, 3) for v in shown.beside)
         if len(causes) == 1 and not causes[0].effect.startswith("outside:") and recipe.group != "natural":

@@ -34,7 +34,7 @@ class Part:
     settings: Path
     day: float | None = None
     why: str = ""
-    whole: bool = False
+    whole: bool = False  #: all journeys of a vehicle, in a campaign folder
 
 
 @dataclass(frozen=True)

@@ -30,10 +30,9 @@ class PartSums:
     radius_m: float
     sums: "Sequence[WheelSums]" = ()  #: of both wheels; `why` says why there are none
     why: str = ""
-    doubtful: Sequence[str] = ()
     doubtful: Sequence[str] = ()  #: checks of the law that failed
     sources: Sequence[SystematicSource] = ()
-    lines: "Sequence[WheelLine]" = ()
+    lines: "Sequence[WheelLine]" = ()  #: of the fit of all runs of a vehicle
 
     @staticmethod
     def from_dict(value: Mapping[str, Any]) -> "PartSums":

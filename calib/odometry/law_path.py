@@ -107,7 +107,6 @@ class LawPath:
     """A journey under a law, with and without the correction."""
 
     loading: Loading
-    reference_N: tuple[float, float]
     reference_N: tuple[float, float]  #: loads of the uncorrected odometry
     distance_m: FloatArray  #: shape (n,): distance along the route
     reference: Poses  #: the route, shape (n,)
@@ -278,7 +277,6 @@ class Journey:
     #: wheel loads whose radii the uncorrected odometry uses
     reference_left_N: float
     reference_right_N: float
-    band: str
     band: str  #: ``mean`` or ``prediction``
     #: error along, lateral, of heading, and global x and y
     without: dict[str, Interval]

@@ -47,7 +47,6 @@ class Replay(Result):
     distance_m: FloatArray  #: shape (n,): driven by the reference law
     reference: Poses  #: reference end poses, shape (n,)
     ends: dict[str, Poses]
-    errors: dict[str, PoseErrors]
     errors: dict[str, PoseErrors]  #: odometry minus reference
     in_range: BoolArray  #: shape (n,): whether the law was measured at all its loads
     #: rms end error of position and heading over the runs in range

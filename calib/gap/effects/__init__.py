@@ -21,6 +21,7 @@ class Family(StrEnum):
     words: str  #: what is sure where only the family is, as a clause
 
     def __new__(cls, value: str, words: str) -> "Family":
+        """Make a member of its name in files and its clause."""
         member = str.__new__(cls, value)
         member._value_, member.words = value, words
         return member

@@ -27,7 +27,7 @@ class WheelTravel:
     """Steps of all observations, end to end, by wheels and model."""
 
     starts: IntArray  #: shape (n_obs + 1,): observation u has steps ``starts[u]:starts[u + 1]``
-    left_m: FloatArray
+    left_m: FloatArray  #: shape (n_steps,): travel
     right_m: FloatArray
     track_m: float
     duration_s: FloatArray  #: shape (n_steps,)
