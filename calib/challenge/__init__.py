@@ -1,7 +1,4 @@
-"""A blind check of the diagnosis: sealed cases, a runner that never opens the truth, a score.
-
-Here a sealed set from a seeds file: campaigns, and all truths apart in a file whose hash is stored.
-"""
+"""A blind check of the diagnosis: sealed cases, a runner that never opens the truth, a score."""
 
 import json
 import os

@@ -1,7 +1,6 @@
 """A case from its recipe: its truth, then its campaigns.
 
-No rule gets a larger share of cases right than the mean of the largest posterior probability, computed exactly from
-whitened signatures: the ceiling.
+No rule gets a larger share right than the mean of the largest posterior probability: the ceiling.
 """
 
 from collections.abc import Mapping, Sequence

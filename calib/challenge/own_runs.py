@@ -278,22 +278,18 @@ def challenge_own(
 
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         Runs with logs.
-    effects : sequence of str
+    effects
         Also outside causes; empty: all that the campaign can show.
-    sizes : sequence of Size
-        How large each is planted.
-    planted : int
-        How often each at each size.
-    workers : int
+    sizes, planted
+        How large each is planted, and how often.
+    workers
         Processes of this machine.
-    seconds : float
+    seconds
         Then no further diagnosis begins.
-    seed : int
-        Of all that is drawn.
-    progress : Progress
-        Told the diagnoses done.
+    seed, progress
+        Of all that is drawn; told the diagnoses done.
     """
     began = time.monotonic()
     diagnosis = diagnose_in_full(campaign, seed=seed, plan=False)

@@ -1,7 +1,4 @@
-"""Many vehicles: one task a vehicle and file, sums that add, and the fleet's view.
-
-Here what they show together: spread of their quantities, outliers, labels that differ, shared findings.
-"""
+"""Many vehicles: one task a vehicle and file, sums that add, and the fleet's view."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -79,10 +76,7 @@ def _root(falling: Callable[[float], float], high: float) -> float:
 
 
 def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value by Student's t.
-
-    Median and median deviation find those that may stand apart; mean and spread of the others, better known, judge all.
-    """
+    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value by Student's t."""
     away = np.abs(values - np.median(values))
     variance = std**2 + SMALLEST_VARIANCE
 

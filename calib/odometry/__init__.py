@@ -1,7 +1,6 @@
-"""From counts and radii to poses: odometry, routes, closed-loop simulation.
+"""From counts and radii to poses: here odometry over arrays of runs, in numpy or machine code (numba, extra `fast`).
 
-Here odometry over arrays of runs, by array operations or in machine code (numba, extra `fast`), where headings count
-from the first of a few steps, so that a short series gives sine and cosine.
+Headings count from the first of a few steps, so that a short series gives sine and cosine.
 """
 
 import math

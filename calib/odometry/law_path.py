@@ -1,7 +1,4 @@
-"""Journeys under a fitted law, with the radius of one load and with that of the load carried.
-
-Its uncertainty is carried to each point by linear propagation, to the end pose of one load by Monte Carlo too.
-"""
+"""Journeys under a fitted law, with the radius of one load and with that of the load carried."""
 
 import math
 from dataclasses import dataclass, field, replace

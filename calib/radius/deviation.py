@@ -105,8 +105,7 @@ def deviation_rows(
 ) -> list[dict[str, float]]:
     """Return the table of Fig. 9: a mapping for each pair of amplitude (n,) and wavelength (m,), from phase 0.
 
-    It holds relative excesses over whole periods and `distance_m`, errors of radii, and the amplitude that keeps a
-    radius within a relative `tolerance`; see `weave_excess`. Raises BadInputError where a length is not positive.
+    `tolerance`: relative, of a radius; see `weave_excess`. Raises BadInputError where a length is not positive.
     """
     lengths = {"amplitude": amplitudes_m, "wavelength": wavelengths_m, "distance": distance_m, "track": track_m}
     for name, given in lengths.items():

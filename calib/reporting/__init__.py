@@ -1,7 +1,4 @@
-"""What a customer gets: content, figures and the typeset page.
-
-Here what a page or a terminal's text is made of: sentences of ``words.toml``, and blocks without layout.
-"""
+"""What a customer gets: content, figures and the typeset page."""
 
 import re
 import shlex

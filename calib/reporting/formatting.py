@@ -69,10 +69,7 @@ def measured(value: float, std: float) -> tuple[str, str]:
 
 
 def aligned(rows: Iterable[Sequence[str]], *columns: int) -> tuple[tuple[str, ...], ...]:
-    """Return rows whose numbers, in the given columns, stand with their decimal points below each other.
-
-    Shorter fractions, which have fewer significant digits, are filled up with blanks as wide as a figure.
-    """
+    """Return rows whose numbers, in the given columns, stand with their decimal points below each other."""
     padded = [list(row) for row in rows]
     for column in columns:
         fractions = [len(row[column].partition(".")[2]) for row in padded]
@@ -260,10 +257,7 @@ class _Fitted:
 
 
 def table_lines(table: Table, width: int) -> list[Line]:
-    """Return header, rule and rows of a table, without columns of detail.
-
-    A table wider than `width` is dealt out to several below each other, the first column in each.
-    """
+    """Return header, rule and rows of a table, without columns of detail."""
     shown = [(number, column) for number, column in enumerate(table.columns) if not column.detail]
     fitted = [_fit(column, [plain(row[number]) for row in table.rows]) for number, column in shown]
     lines: list[str] = []

@@ -41,10 +41,7 @@ MAX_MISSING_SIGNS: Final = 24
 
 
 def to_pdf(report: Report, progress: Progress = silent) -> bytes:
-    """Return the report as PDF/A-3a.
-
-    Only built-in fonts are used, unless a name holds signs that these lack. Raises CalibError where it cannot be set.
-    """
+    """Return the report as PDF/A-3a; raises CalibError where it cannot be set."""
     sources: dict[str, bytes] = {
         "main.typ": (files("calib.reporting") / "page.typ").read_bytes(),
         "data.json": to_json(report.to_dict()).encode("utf-8"),

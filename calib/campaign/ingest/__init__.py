@@ -1,7 +1,4 @@
-"""A laboratory's files and recordings become a campaign: described, mapped, cut into runs.
-
-Here the files of sources and their contents: columns, sheets, streams with their clocks.
-"""
+"""A laboratory's files and recordings become a campaign: described, mapped, cut into runs."""
 
 import re
 import textwrap

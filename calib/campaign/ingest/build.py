@@ -306,10 +306,7 @@ def _record(work: Ingestion) -> dict[str, object]:
 
 
 def merged_notes(notes: Sequence[Note]) -> tuple[Note, ...]:
-    """Return notes, merged where they differ in file, row, run and numbers alone.
-
-    Each kind stands where its first did; differing numbers become a range.
-    """
+    """Return notes, merged where they differ in file, row, run and numbers alone."""
 
     def kind(note: Note) -> tuple[str, ...]:
         file, column = _file_and_column(note.where)

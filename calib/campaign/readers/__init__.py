@@ -1,7 +1,6 @@
 """Readers of tables and recordings; a new format is one function and one line in `READERS`.
 
-Here those of measuring programs: MATLAB files of version 5 to 7.2, and TDMS files with the ``tdms`` extra. MATLAB's
-element tree is checked before a reader in C, which trusts every tag.
+MATLAB's element tree is checked before a reader in C, which trusts every tag.
 """
 
 import logging

@@ -249,10 +249,7 @@ def corrected(observations: Observations, fault: Blunder) -> Observations:
 
 
 def bad_runs(nominal: Path) -> dict[str, float]:
-    """Return the few runs that end off by a share of their length that no others come near, by id, each its share.
-
-    A counter that was reset or stood still, or a reference of another drive.
-    """
+    """Return the few runs that end off by a share of their length that no others come near, by id, each its share."""
     off, kind = misfit(nominal, by_kind=True), nominal.s.labels["kind"]
     order = np.argsort(-off, kind="stable")
     worst = off[order[: int(MOST_BAD_RUNS * len(off)) + 1]]

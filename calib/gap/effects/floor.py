@@ -98,11 +98,7 @@ class FloorZone(Effect):
     by_place = True
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.
-
-        A strip lies across the whole floor, as a joint does. Only runs with a log have a place; at least three have to
-        cross, and what tells runs apart best is kept.
-        """
+        """Return a form for each strip and cell of about 2 m that some runs cross and others not, or otherwise."""
         if not common_frame(observations) or np.count_nonzero(observations.from_log) < MIN_RUNS_IN_CELL:
             return []
         lane, far_end = lanes(observations), far_end_m(observations)

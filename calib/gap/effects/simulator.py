@@ -127,11 +127,8 @@ class WheelMotion:
     def carried(self, change: FloatArray, step: float, *, both_ways: bool = False) -> Carried:
         """Split what a step of a parameter changed, (n_obs, 4) as `Carried.reading`, into motion and readings.
 
-        `both_ways`: the change is half of what lies between a step up and one down.
-
-        What wheels do bends the path and is not linear. It is sought as radii and track off alike in all runs, or in
-        proportion to a quantity of the runs, then as wheels off in each run; what explains little is omitted. Of a
-        noisy change the first that leaves no more than noise is taken: few numbers hold little of it.
+        `both_ways`: the change is half of what lies between a step up and one down. What wheels do is sought in few
+        numbers first: of a noisy change the first that leaves no more than noise is taken.
         """
         from scipy.special import chdtrc
 

@@ -91,10 +91,7 @@ class LoadDependentTrack(Effect):
 
 
 class SideSlip(Effect):
-    """A slip angle -K v^2 kappa, as tyres have, or, as what slides does, -K v kappa: by the lateral acceleration too.
-
-    A step of ds moves -K v^2 kappa ds, or -K v kappa ds, to the left: e_n ~ v^2 theta or v theta.
-    """
+    """A slip angle -K v^2 kappa, as tyres have, or -K v kappa, as what slides does: by the lateral acceleration too."""
 
     id = "side_slip"
     title = "side slip of the rear axle in fast turns"
@@ -175,10 +172,7 @@ class WheelSlip(Effect):
     separates = "the same way at a gentle and at a hard acceleration"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms in proportion to a and to its square, for both and for speeding up alone.
-
-        None where both wheels are free. The square: tyres that hold until their grip is nearly used up.
-        """
+        """Return forms in proportion to a and to its square, for both and for speeding up alone."""
         if observations.vehicle.drive not in ("differential", "skid"):
             return []
         # a tenth at 1 m/s2 is a tyre at a tenth of its grip

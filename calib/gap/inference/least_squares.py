@@ -273,8 +273,7 @@ class Weighting:
 def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weighting) -> Fitted:
     """Return a hypothesis fitted in the linear model about a path, and re-simulated.
 
-    A step that leaves more than twice what was left before, and than it was to leave, is halved. The calibration stays
-    the model's own where it promises no more than noise may: see `recalibrate`.
+    The calibration stays the model's own where it promises no more than noise may: see `recalibrate`.
 
     `model`: numbers of forms; `weighting`: lack of fit, and what effects may deviate by.
     """

@@ -158,9 +158,7 @@ def is_far(fitted: Fitted) -> bool:
 def continuation_start(system: LinearSystem) -> Fitted:
     """Return a hypothesis near which the gap is linear: the system's, effects added one by one as they fit.
 
-    The system's own where it is not far off, or no effect takes half of it away.
-
-    `system`: about the path of the recalibration alone, with the forms on offer.
+    `system`: about the path of the recalibration alone, with the forms on offer; its own where it is not far off.
     """
     fitted, nominal, noise = system.fitted, system.nominal, system.noise
 

@@ -1,8 +1,4 @@
-"""The noise of each run: its covariance over the channels, and what supports it.
-
-A sum of components, whose scales are estimated from replicates, beside a mean in each channel and a calibration of
-each group. That of windows is checked by its growth with length.
-"""
+"""The noise of each run: its covariance over the channels, and what supports it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -133,10 +129,7 @@ class Noise:
 def estimate_noise(path: Path, gap: FloatArray) -> Noise:
     """Estimate the noise from replicates.
 
-    The first basis that supports a floor is taken, see `_noise_supports`, else the first with the degrees of freedom,
-    at last the stated sigmas. Scales not determined keep their prior.
-
-    `gap`: (n_units, 6), measured minus predicted about `path`.
+    `gap`: (n_units, 6), measured minus predicted about `path`; scales not determined keep their prior.
     """
     shapes = components.NoiseComponents.about(path)
     first, prior = None, np.log(components.PRIOR_MEDIANS)

@@ -77,8 +77,8 @@ class FormPriors:
     def from_forms(forms: Sequence[Form]) -> "FormPriors":
         """Make it of forms.
 
-        Every number of effects is less likely than one fewer by the same odds, and of so many every set is as likely.
-        Scott, Berger: Bayes and empirical-Bayes multiplicity adjustment, Annals of Statistics 38 (2010), 2587-2619.
+        One effect more is less likely by the same odds; of so many every set is as likely (Scott and Berger, Annals of
+        Statistics 38 (2010) 2587).
         """
         n_effects = len({form.effect for form in forms})
         layout = Layout.of(forms)

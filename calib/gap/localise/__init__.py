@@ -180,8 +180,7 @@ def scan_route(
 ) -> tuple[PlaceResult, int] | None:
     """Search a route for the stretch where a channel's gap grows, and count those searched.
 
-    The p value is the best stretch's alone; None for too few whole runs. `signed`: look for a gap of the other sign on
-    the way back; see `traces_of`.
+    None for too few whole runs. `signed`: look for a gap of the other sign on the way back; see `traces_of`.
     """
     from scipy.special import stdtr
 
@@ -269,11 +268,7 @@ def _stretches(n: int) -> tuple[IntArray, IntArray]:
 def find_places(
     campaign: Campaign, observations: Observations, rng: np.random.Generator
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
-    """Return the places inside the runs where the gap opens, smallest p first, and what cannot be asked.
-
-    On a stretch over which the gap grows in all runs of a route, in turns or straights, at stops; p values are
-    multiplied by the number of places.
-    """
+    """Return the places inside the runs where the gap opens, smallest p first, and what cannot be asked."""
     if np.isfinite(observations.simulated).any():
         return (), ("the simulated ends have no path: where inside a run the gap opens cannot be determined",)
     traces = traces_of(campaign.included(), observations)

@@ -1,7 +1,4 @@
-"""Where the gap lies: by channel, covariate, run, and place inside the runs.
-
-What it correlates with: F tests on each run's covariates and each wheel's travel.
-"""
+"""Where the gap lies: by channel, covariate, run, and place inside the runs."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
