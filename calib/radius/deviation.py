@@ -68,7 +68,10 @@ def radius_error(excess: ArrayLike) -> FloatArray:
 def allowed_amplitude_on_run_m(
     tolerance: ArrayLike, wavelength_m: ArrayLike, distance_m: ArrayLike, track_m: float, *, phase_rad: ArrayLike = 0.0
 ) -> FloatArray:
-    """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run."""
+    """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
+
+    It counts the net turn of a part of a period, too; see `weave_excess`.
+    """
 
     def worse(amplitude_m: FloatArray) -> FloatArray:
         excess = weave_excess(amplitude_m, wavelength_m, distance_m, track_m, phase_rad=phase_rad)
