@@ -95,8 +95,7 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
         total += run[:, :, None] * run[:, None, :]
     instruments = (one * sigma**2 for sigma in (noise.laser_m, noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad))
     counted = (noise.texture_m**2 * length + 1e-8, (noise.reading_rad / wheelbase) ** 2 * length * spacing + 1e-8)
-    alone = np.stack([*instruments, *counted], axis=1)
-    return np.asarray(total + alone[:, :, None] * np.eye(6))
+    return np.asarray(total + np.stack([*instruments, *counted], axis=1)[:, :, None] * np.eye(6))
 
 
 def recalibration(world: World, record: Record) -> FloatArray:

@@ -88,8 +88,7 @@ def sessions(observations: Observations) -> StrArray:
     apart = np.abs(at[:, :, None] - at[:, None, :]).max(axis=0) > same_load_N(observations)
     if min(runs) < MIN_RUNS_PER_LOAD and not apart[np.triu_indices(len(runs), 1)].all():
         return session
-    number = np.repeat(np.arange(1, len(lengths) + 1), lengths)
-    return np.array([f"stretch_{k}" for k in number])
+    return np.array([f"stretch_{k}" for k in np.repeat(np.arange(1, len(lengths) + 1), lengths)])
 
 
 def numbered_sessions(observations: Observations) -> tuple[IntArray, int]:

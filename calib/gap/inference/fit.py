@@ -271,8 +271,7 @@ def linear_rest(fitted: Fitted, noise: Noise) -> float:
 def whitened_rows(path: Path, noise: Noise, columns: FloatArray, units: slice = slice(None)) -> FloatArray:
     """Whiten columns (n_units, 6, k); usable rows end to end, (n_rows, k)."""
     usable = path.s.usable[units]
-    masked = np.where(usable[:, :, None], columns, 0.0)
-    whitened: FloatArray = (noise.whitener[units] @ masked)[usable]
+    whitened: FloatArray = (noise.whitener[units] @ np.where(usable[:, :, None], columns, 0.0))[usable]
     return whitened
 
 

@@ -127,8 +127,7 @@ class LocalSearch:
         priors = FormPriors.from_forms(own.forms)
         weightings = []
         for share in _DEVIATION_SHARES if self.current else (1.0,):
-            deviations = share * full_deviations
-            sums = own.sums(deviations)
+            sums = own.sums(share * full_deviations)
             weight = log_weights(sums, priors, [model])[:, 0]
             best = int(np.argmax(weight))
             weightings.append((float(weight[best]), int(sums.kind[best]), float(sums.scale[best]), share))
@@ -242,8 +241,7 @@ class LocalSearch:
         models: dict[Model, None] = dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(self.current))
         self.current = tuple(sorted(self.current))
         listed = list(models)
-        value = _total(self.weigh(listed, self.active()))
-        for place in np.argsort(-value)[1:_EXPANDED_MODELS]:
+        for place in np.argsort(-_total(self.weigh(listed, self.active())))[1:_EXPANDED_MODELS]:
             models.update(dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(listed[int(place)])))
         listed = list(models | {(): None})
         return listed, self.weigh(listed)

@@ -151,8 +151,7 @@ def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:
 
 def is_far(fitted: Fitted) -> bool:
     """Return whether too much is left for the linear model about this path."""
-    n_rows = int(fitted.path.s.usable.sum())
-    return fitted.chi_square > n_rows * _FAR_RMS**2
+    return fitted.chi_square > int(fitted.path.s.usable.sum()) * _FAR_RMS**2
 
 
 def continuation_start(system: LinearSystem) -> Fitted:

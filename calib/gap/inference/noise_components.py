@@ -125,8 +125,7 @@ def _fixed_noise(path: Path) -> FloatArray:
 
 def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
     """Give missing channels unit variance and no correlation."""
-    both = usable[:, :, None] & usable[:, None, :]
-    kept = np.where(both, covariance, 0.0)
+    kept = np.where(usable[:, :, None] & usable[:, None, :], covariance, 0.0)
     index = np.arange(N_CHANNELS)
     kept[:, index, index] = np.where(usable, np.maximum(kept[:, index, index], 1e-18), 1.0)
     kept[:, index, index] *= 1.0 + 1e-9

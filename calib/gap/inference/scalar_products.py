@@ -166,8 +166,7 @@ class Sums:
 
     def of_columns(self, scale: int, index: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return products of columns (k,) at a scale, (k, k), and with the gap, (k,)."""
-        p = self.right.shape[1]
-        if index.max(initial=-1) < p:
+        if index.max(initial=-1) < self.right.shape[1]:
             return self.gram[scale][index[:, None], index], self.right[scale][index]
         assert self.wide is not None
         own, across = self.wide.at(scale)

@@ -308,8 +308,7 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
     for (name, size), table in zip(far, runner.run([_off(settings, *step) for step in far]), strict=True):
         if (moved := difference(table, nominal) / size).any():
             change[name], steps[name] = moved, size
-    axis = _distance_axis(tables)
-    return Differences(runner, nominal, change, steps, nothing, 1, axis)
+    return Differences(runner, nominal, change, steps, nothing, 1, _distance_axis(tables))
 
 
 def _averaged(
@@ -345,13 +344,11 @@ def _averaged(
     for name in size:
         sides = [difference(table, middle) / step for (of, step), table in means.items() if of == name]
         change[name] = np.mean(sides, axis=0)
-    axis = _distance_axis(list(means.values()))
-    return Differences(runner, middle, change, size, scatter, REPEATS, axis)
+    return Differences(runner, middle, change, size, scatter, REPEATS, _distance_axis(list(means.values())))
 
 
 def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
-    whole = np.stack(tables)
-    for written, limit in zip(np.moveaxis(whole, 2, 0), NOISE_SHARE * sigma, strict=True):
+    for written, limit in zip(np.moveaxis(np.stack(tables), 2, 0), NOISE_SHARE * sigma, strict=True):
         if not np.isnan(written).all():
             coarse = np.array_equal(written, np.round(written, int(-np.log10(limit))))
             if coarse or not (written[1:] == written[0]).any(axis=0).all():

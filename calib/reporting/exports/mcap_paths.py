@@ -68,8 +68,7 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[_ShownRun]:
             rows, poses = measured
             paths["measured"] = (rows, np.array([relative_pose(poses[0], pose) for pose in poses]))
         elif observations.usable[number, Channel.ALONG]:
-            end = np.nan_to_num(observations.measured[number, 1:4])
-            paths["measured"] = (time_s[-1:], end[None, :])
+            paths["measured"] = (time_s[-1:], np.nan_to_num(observations.measured[number, 1:4])[None, :])
         numbers = {
             f"{name}/{channel.label}_{channel.unit}": float(values[number, channel])
             for name, values in tables.items()

@@ -97,8 +97,7 @@ def amcl_components(poses: FloatArray) -> FloatArray:
 
 def _ways(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     middle, end = 0.5 * (poses[:-1] + poses[1:]), poses[-1]
-    way = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    return way, _directions(middle[:, 2], end), _levers(middle, end)
+    return np.hypot(*np.diff(poses[:, :2], axis=0).T), _directions(middle[:, 2], end), _levers(middle, end)
 
 
 def walk_components(poses: FloatArray) -> FloatArray:
