@@ -306,7 +306,7 @@ def challenge_own(
         jobs += [(None, turn * EMPTY_EACH + number) for number in range(EMPTY_EACH)]
         jobs += [(plant, turn) for plant in plants]
     progress(0, len(jobs), "diagnoses")
-    # logs are in the observations; without them a campaign is quick to hand over
+    # without logs, which the observations hold, a campaign is quick to hand over
     light = replace(campaign.included(), logs=Logs.empty(len(campaign.included().runs)))
     noise = own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance)
     simulated = observations.simulated

@@ -122,7 +122,7 @@ def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatA
     # a vehicle's two wheels share its sessions: half as many are independent
     excess, prior = float(squares.mean() + 2.0 * squares.std() / np.sqrt(0.5 * n)), 0.5 * float(half.sum())
     if excess > 0.0:
-        # where 1 / x + 1 / (2 x^2), just below the trigamma function, is the excess
+        # trigamma is just above 1 / x + 1 / (2 x^2)
         prior = min(prior, (1.0 + np.sqrt(1.0 + 2.0 * excess)) / (2.0 * excess))
     usual = np.exp(log.mean() + digamma(prior) - np.log(prior))
     return np.maximum((prior * usual + half * variance) / (prior + half), variance), 2.0 * (prior + half)
@@ -272,7 +272,7 @@ def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, st
 
 
 def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> list[tuple[LabelDifference, BoolArray]]:
-    # the clearest first, then what stands without it: beside a label that is off all others are off the other way
+    # the clearest first: beside a label that is off all others are off the other way
     left, having, kept = {name: column.copy() for name, column in values.items()}, [*_labelled(vehicles, labels)], []
     for _ in range(len(having) * len(left)):
         candidates = []

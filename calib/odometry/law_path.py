@@ -361,8 +361,8 @@ def law_journey(
 def _scatter(
     law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
 ) -> tuple[FloatArray, IntArray, FloatArray, list[float], FloatArray]:
-    # root (3, k) of the covariance of radii and track, each column's scale, drawn scales, dof, errors: a wheel has a
-    # scale of its own, what was fitted together has one, and a stated track is as certain as stated
+    # root (3, k) of the covariance of radii and track, each column's scale (one a wheel, or one fitted together), drawn
+    # scales, dof, errors
     dof = [
         float(w.dof_of(w.contrast(load), single_run=single))
         for w, load in zip((law.left, law.right), loads_N, strict=True)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-#: with what the simulator believes; with the law's radii, unladen; at the load of each run, or step (Fig. 7)
+#: as the simulator believes; with the law's radii, unladen; at the load of each run, or step (Fig. 7)
 METHODS = ("model", "constant", "corrected")
 
 RESAMPLES: Final = 2000

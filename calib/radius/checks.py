@@ -24,7 +24,7 @@ MAX_INFLUENCE_SESSIONS: Final = 100
 #: loads of sessions tried as misreported; largest share of the squares that the others then leave
 MAX_CELLS: Final = 200
 MOST_OF_SQUARES: Final = 0.1
-#: runs tried as outliers that hide each other, of a fifth of all at most: Rosner's approximation was tried for ten
+#: runs tried as outliers, of a fifth of all at most: Rosner's approximation was tried for ten
 MOST_OUTLIERS: Final = 10
 #: share of the direction's squares that the load leaves: below, a variance inflation above ten (Kutner et al., 10.5)
 ALIASED, ROUNDING = 0.1, 1e-9

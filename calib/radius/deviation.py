@@ -44,7 +44,6 @@ def weave_excess(
     slope = k * amplitude
     u = slope**2
     end = k * distance + phase
-    # by Legendre's incomplete integral of the second kind
     length = np.sqrt(1 + u) * (ellipeinc(end, u / (1 + u)) - ellipeinc(phase, u / (1 + u))) / k
     yaw = np.arctan(slope * np.cos(end)) - np.arctan(slope * np.cos(phase))
     return PathExcess.of(length / distance - 1, yaw, distance, track_m)
@@ -89,7 +88,7 @@ def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatA
     """
     error = floats(tolerance)
     wavelength, target = np.broadcast_arrays(wavelength_m, error / (1 - error))
-    # the excess is at least that of the straight lines between the turning points, and of small amplitudes near 0
+    # the excess is at least that of straight lines between the turning points
     bracket = wavelength / (2 * np.pi) * (4 * np.sqrt(target) + np.pi * target)
     return _largest(lambda amplitude_m: whole_period_excess(amplitude_m, wavelength), target, bracket)
 
@@ -287,7 +286,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         "excess_left": path.left + unknown_nan,
         "excess_right": path.right + unknown_nan,
         "small_amplitude": small,
-        # relative error of the radii if the path were not corrected, and the same in m on the nominal radius
+        # of the radii if the path were not corrected, relative and in m
         "error_left": left + unknown_nan,
         "error_right": right + unknown_nan,
         "error_left_m": left * vehicle.wheel_radius_m + unknown_nan,
@@ -304,7 +303,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
 
 def _bow_note(blind: BoolArray, distance_m: FloatArray, tolerance: float, vehicle: Vehicle) -> Iterator[str]:
     if blind.any():
-        # a bow turns the vehicle by 8 bows over the distance, and each wheel's path is half a track's turn off
+        # a bow turns the vehicle by 8 bows over the distance
         bow_m = tolerance * float(np.median(distance_m[blind])) ** 2 / (4.0 * vehicle.track_m)
         yield (
             f"A steady bow of {blind.sum()} of {len(blind)} runs is not seen: nothing tells it from unequal radii. One "

@@ -19,7 +19,7 @@ from calib.types import FloatArray, StrArray, floats
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
-#: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
+#: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m
 STRAIGHT_TURN_RAD: Final = 1.2
 #: the same of a measured turn
 STRAIGHT_HEADING_RAD: Final = 0.5

@@ -23,7 +23,7 @@ from calib.types import FloatArray, StrArray
 
 #: largest reference load over the largest driven; further out the line has no digits left
 MAX_REFERENCE_RATIO: Final = 1e4
-#: share of the radius by which load may change it over the measured range, and by which single runs may scatter
+#: share of the radius by which load may change it, and by which single runs may scatter
 MAX_LOAD_CHANGE: Final = 0.2
 MAX_SCATTER: Final = 0.03
 #: of temperatures, to show in a radius

@@ -114,7 +114,7 @@ def correct_paths(campaign: Campaign) -> RunPaths:
         2 * np.pi * campaign.model.radius_right_m / campaign.encoder.counts_per_rev_right,
     )
     weaves = estimate_weaves(campaign.logs, metres_per_count, track)
-    # the measured distance says how far the radii are from those assumed: headings are too large by that, too
+    # the measured distance says how far the radii are off, and the headings
     left, right = (np.abs(runs.number(f"counts_{side}")) for side in ("left", "right"))
     rolled = left * metres_per_count[0] / 2 + right * metres_per_count[1] / 2
     scale = distance * (1 + weaves.excess) / rolled
@@ -319,7 +319,7 @@ def _without_diverged(
         left = heading_rad - axis[0, :, None] - axis[1, :, None] * u - course
         return np.asarray(np.sqrt(np.mean(left**2, axis=1)))
 
-    # a wave is part of the residual of a straight trend: far more than that is two large terms that cancel
+    # far more than the residual of a straight trend is two large terms that cancel
     straight = about(plain)
     diverged = (about(line) > MAX_TREND_RATIO * straight + TINY_RAD) | (about(line, weave) > straight + TINY_RAD)
     return np.where(diverged, plain, line), np.where(diverged, 0.0, wave)

@@ -240,7 +240,7 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
         steady = np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
         if _JUMP * turn < span <= ONE_TURN * turn and jumps.any() and steady:
             return words
-    # what moves goes on: a counter's steps are alike from one to the next, but where it starts again; increments' are
+    # what moves goes on: a counter's steps are alike from one to the next, but where it starts again
     away = np.abs(values[1:] - values[0]) > _AWAY * span
     turns = steps[away & (steps != 0)]
     level = abs(values[-1] - values[0]) < 0.1 * _AWAY * span and away.mean() > 0.5
@@ -288,7 +288,7 @@ def estimate_lag(
     step = max(own_step, other_step, 1e-3)
     if not end - start > 4 * _LARGEST_LAG_S:
         return None
-    # an interpolated distance is less noisy between samples: a grid in step with a stream would prefer such a lag
+    # interpolated distances are less noisy: a grid in step with a stream would prefer such a lag
     grid_step = max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
     grid = np.arange(start + _LARGEST_LAG_S, end - _LARGEST_LAG_S, grid_step)
     half_window = max(_SPEED_WINDOW_S, step)

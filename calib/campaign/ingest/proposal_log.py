@@ -148,7 +148,7 @@ def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], l
 
 
 def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
-    # a joint's rate, a pose of no tracker and a length of no instrument are taken where nothing better is there
+    # last a joint's rate, a pose of no tracker, a length of no instrument
     no_tracker = _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None or "odom" in column.name.lower()
     return _RATE in column.name, no_tracker, not guesses.by_rangefinder(column.name)
 
@@ -257,7 +257,7 @@ def _wheel_lines(
         lines.append(f'#{name} = "{found.pop(name).name}"   # looks like a wheel, but no column looks like {other}')
     wheels = [name for name in LOG_COLUMNS if name.startswith("counts_") and name in found]
     units = {name: _wheel_unit(found[name], streams.get(found[name].name)) for name in wheels}
-    # an angle may fall and rise as a rate does, a rate never only rises: of one vehicle all wheels are alike
+    # an angle may fall and rise as a rate does: of one vehicle all wheels are alike
     angle = next((each for each in units.values() if each[0] == "rad" and each[1]), None)
     for wheel in wheels:
         column, stream = found[wheel], streams.get(found[wheel].name)

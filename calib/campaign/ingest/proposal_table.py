@@ -57,7 +57,7 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
     def of(target: str) -> list[ColumnContents]:
         return [column for column in table.columns if targets[column.name] == target]
 
-    # where nothing else is: a date for the session, an axle's load, a length that no instrument measured
+    # last a date for the session, an axle's load, a length that no instrument measured
     dates = [one for one in of("session") if stem_and_unit(one.name)[0] in {"datum", "date", "messdatum"}]
     passed_over = dates if len(of("session")) > len(dates) else []
     passed_over += of(_AXLE) if set(WHEEL_LOADS) & set(targets.values()) else []

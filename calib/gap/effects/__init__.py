@@ -30,7 +30,7 @@ class Family(StrEnum):
     LOAD = "load", "the radii follow the load"
     TURNING = "turning", "turns come out other than the wheels say"
     SPEED = "speed", "the distance changes with the speed or with stops"
-    # temperature belongs here: it rises with the day as wear and sessions do, and is told from them by the same runs
+    # temperature, too: it rises with the day as wear and sessions do
     DRIFT = "drift", "the radii drift over the campaign"
     DIRECTION = "direction", "one direction of travel differs from the other"
     COUNTS = "counts", "the encoders count wrongly"

@@ -123,7 +123,7 @@ class LostCounts(Effect):
                 v_0 = stated.get("speed_mps")
                 if v_0 is None:
                     return lambda path: [acting_on(path, side, ones)]
-                # step by step: a counter knows no mean of a run that reverses slowly, and a spin turns it as well
+                # step by step: slow reversing and spins turn a counter, too
                 return lambda path: [Perturbation(**{side: np.maximum(_wheel_mps(path.s, side) - v_0, 0.0)})]
 
             label, tries = f"{side} wheel, {label}", 2 * len(shapes)

@@ -99,7 +99,7 @@ REGISTRY: Final = {effect.id: effect for effect in EFFECTS}
 LIBRARY: Final = Effect.origin
 #: smallest change of a channel (m or rad): no instrument resolves a micrometre
 UNCHANGED: Final = 1e-6
-#: a path on a floor plan is drawn apart by about this share of its extent
+#: of a floor plan's extent, by which a path is drawn apart
 DRAWN_SHARE: Final = 0.12
 #: largest factor by which an effect is enlarged for a floor plan
 MAX_ENLARGEMENT: Final = 200.0

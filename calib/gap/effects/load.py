@@ -291,7 +291,7 @@ class PayloadPosition(_OfPayload):
 
         def ahead(path: Path) -> list[Perturbation]:
             left_m, right_m = changed_m(path, wheelbase)
-            # the front wheel, of a mean slope, travels more for its counts, which the front channels subtract
+            # the front wheel, of a mean slope, travels more for its counts
             change_m = 0.5 * (left_m + right_m)
             readings = Perturbation.on_readings(
                 observations, front=-front_m * change_m, steering=-by_steering * change_m

@@ -21,7 +21,7 @@ MAX_STRETCH: Final = 0.2
 MIN_TURNED_RUNS: Final = 4
 #: what the angle leaves is less than this share of what it explains, and what bends the heading less than this of it
 TURN_RESIDUAL_SHARE: Final = 0.2
-#: by how much the end's heading may be off where none is measured: radii unequal by a hundredth, over ten tracks
+#: of an end's heading where none is measured: radii unequal by a hundredth, over ten tracks
 HEADING_ERROR_RAD: Final = 0.1
 MIRRORED: Final = 0.999  #: confidence at which the scatter of ends tells mirrored axes from turned ones
 
@@ -132,7 +132,7 @@ def find_turned(nominal: Path) -> TurnedReference | None:
 
 
 def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[complex, float]:
-    # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
+    # a place within a metre, ends good to some centimetres
     columns, prior = np.stack([end, turned], axis=1), np.diag([1e-9, 1e-3])
     turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)
     return complex(turn), float(np.sum(np.abs(seen - turn * end - place * turned) ** 2))

@@ -271,8 +271,7 @@ def covariate_columns(observations: Observations) -> tuple[str, ...]:
 #: group of entry points under which packages offer classes of effects
 ENTRY_POINT_GROUP: Final = "calib.effects"
 
-#: what a declared effect acts on -> unit of its size per unit of the column, and the calibration that a shift of its
-#: zero looks like
+#: what a declared effect acts on -> unit of its size per unit of the column, and what a shift of its zero looks like
 ACTS_ON: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "left": ("1", ("radius_scale", "unequal_radii")),
     "right": ("1", ("radius_scale", "unequal_radii")),

@@ -347,7 +347,7 @@ class PathWeave(Effect):
             noted[weaves] = whole_period_excess(amplitude[weaves], wavelength[weaves])
         outside = observations.from_log & np.isfinite(observations.simulated[:, :2]).any(axis=1)
         logged = np.where(outside, _weave_of_logs(observations), 0.0) if outside.any() else np.zeros(len(observations))
-        # nobody measured the heading, and every run ends at one place of its wave, but not that where it began
+        # unmeasured headings: every run ends at one place of its wave, but not that where it began
         guided = weaves & observations.guided
         swing = np.zeros(len(observations))
         swing[guided] = 2.0 * np.pi * amplitude[guided] / wavelength[guided]

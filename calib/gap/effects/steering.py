@@ -10,8 +10,7 @@ from calib.gap.observations import Channel, Observations
 from calib.kinematics.blunders import still_steering, straight_reading_rad
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: an angle is judged beside an offset of its zero up to here: of 0.5 rad a play was named beside it, of 1.6 another
-#: cause altogether
+#: an angle is judged beside a smaller offset of its zero: beside 0.5 rad a play was named, at 1.6 another cause
 FARTHEST_STRAIGHT_RAD: Final = 0.35
 
 
@@ -188,7 +187,7 @@ class SteeringBacklash(Effect):
         # only a clear turn has a side: near zero the sign is noise
         by_side = np.where(np.abs(angle) > TURN_ANGLE_RAD, np.sign(angle), 0.0)
         noise = _noise_rad(observations, angle)
-        # a coarse sensor does not tell noise, zero and small corrections apart: there a turn alone is a move
+        # a coarse sensor does not tell noise and small corrections apart: there a turn alone is a move
         band = STILL_ANGLE_RAD if 6.0 * noise < STILL_ANGLE_RAD else max(TURN_ANGLE_RAD, 6.0 * noise)
         moved = np.where(np.abs(angle) > band, angle, 0.0)
         wheel = _wheel_rad(observations, angle)
@@ -265,8 +264,7 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
     return np.nan_to_num((angle - through[step, observations.unit]) * (play / wide))
 
 
-#: delays tried beside a short one, which moves along the tangent: on a corner's ramps the shape of 0.27 s scaled to 0.3
-#: s is off by a tenth, its tangent by half
+#: delays tried beside a short one, the tangent: scaled from 0.27 to 0.3 s a shape is off by a tenth, that by half
 DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
 
 

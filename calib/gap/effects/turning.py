@@ -53,7 +53,7 @@ class CurveLoadTransfer(Effect):
 
         def perturbations(path: Path) -> list[Perturbation]:
             s = path.s
-            # the curvature counts turn per distance, unsigned: rolling backward, the same turn pulls to the other side
+            # rolling backward, the same turn pulls to the other side
             pull_mps2 = s.speed_mps * np.abs(s.speed_mps) * quantities.curvature_per_m(s)
             moved_N = s.weight_N[s.unit] * pull_mps2 * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
             return [Perturbation(left=-moved_N / s.radius_left_m[s.unit], right=moved_N / s.radius_right_m[s.unit])]
@@ -140,7 +140,7 @@ class CurveScrub(Effect):
 
         Tyres that twist on the spot scrub where those that roll do not; it counts as a turn about a rear wheel.
         """
-        # up to 3 % in a turn of the vehicle's own length; of either sign: tracks of real robots narrow in turns, too
+        # up to 3 % in a turn of the vehicle's own length; tracks of real robots narrow in turns, too
         size = quantities.reach(observations)
         parameters = (Parameter("widening", "m", typical=1.5e-2 * size, largest=1.5e-1 * size),)
 
@@ -228,7 +228,7 @@ class DriveSlip(Effect):
         acceleration = rate_per_s(observations, np.abs(observations.speed_mps), 2)
         speeding = np.maximum(acceleration, 0.0)
         front = front_travel_m(observations)
-        # a driven wheel turns too much, never too little; a share common to all runs may be the radius, off either way
+        # a driven wheel turns too much, never too little; a share common to all runs may be the radius
         weight_varies = float(np.ptp(_over_mean(observations.weight_N))) > 1e-9
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
         common = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
@@ -239,10 +239,9 @@ class DriveSlip(Effect):
         both = (per_acceleration, rolling)
         # a run from rest to rest gains and loses the same by acceleration and braking
         gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        # where the driven wheel drives the odometry, a share in all runs alike is its radius, and so is one that
-        # follows the load: rubber gives way by more than it slips when it rolls steadily
+        # where it drives the odometry, a share alike in all runs is its radius, as is one that follows the load: rubber
+        # gives way by more than it slips
         share_shows = not observations.by_front
-        # label, the force (None where the load does nothing), the parts that correlate with it, their parameters
         slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
         for name, force in _forces_N(observations).items():
             if gains:

@@ -42,7 +42,7 @@ _TRIAL_STEPS: Final = 4
 #: of these, before trials are dropped that leave so many times the squares of the best
 _FIRST_STEPS: Final = 2
 _HOPELESS: Final = 100.0
-#: and those whose linear fit leaves so many times what the best has left; also of sets moved to
+#: and those whose linear fit leaves so many times what the best has left
 _OUTDONE: Final = 2.0
 #: share of the promise within which no further step is taken
 _SETTLED_SHARE: Final = 0.02
@@ -270,7 +270,7 @@ def _near(moved: _Settled, left: Fitted) -> _Settled | None:
     return moved if fitted.chi_square <= most else None
 
 
-#: a set fitted from another one's fit, None where that runs away; models weighed about one; a set with these
+#: a set fitted from another one's fit, None where that runs away; models weighed; a set with these
 _Settle = Callable[[LocalSearch, Fitted], _Settled | None]
 _Weigh = Callable[[LocalSearch], _WeighedModels]
 _Found = tuple[LocalSearch, Fitted, _WeighedModels]

@@ -35,7 +35,7 @@ REPORTED_EXCESS: Final = 4.0
 STATED_EXCESS: Final = 2.0
 #: a larger one may exceed what grows as noise does by this factor
 MAX_GROWTH_RATIO: Final = 2.0
-#: log of how much likelier repeats may be by their own noise level than by that of routes (2 of 58 sound campaigns are)
+#: log of how much likelier repeats may be by their own noise level than by routes' (2 of 58 sound campaigns are)
 MAX_LOG_RATIO: Final = 4.6
 #: windows joined to a longer one
 JOINED_WINDOWS: Final = (1, 2, 4, 8)
@@ -70,7 +70,7 @@ def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
     yield near, beside, components.session_steps(path), enough
     yield near, beside, None, enough
     if not observations.windowed:
-        # few repeats leave the scales open by a factor of three: routes tell more, unless repeats contradict them
+        # few repeats leave the scales open by a factor of three: routes tell more
         loads = components.load_speed_trends(path)
         for laws, least in ((components.route_trends(path), enough), (loads, ENOUGH_DOF)):
             yield Basis.ROUTE, observations.kind, np.concatenate([laws, trends], axis=2), least

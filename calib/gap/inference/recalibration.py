@@ -263,7 +263,7 @@ def judge_recalibration(search: SearchResult, shifts: Mapping[str, tuple[str, ..
 def _with_substitutes(
     search: SearchResult, weighed: Sequence[tuple[float, FloatArray]], instead: Mapping[str, tuple[str, ...]]
 ) -> tuple[int, ...]:
-    # each of several aliases of a parameter takes a part of its probability, though one of them is at work
+    # each alias of a parameter takes a part of its probability
     own, beside_own = {*search.effects}, weighed[0][1]
     total, aliases = beside_own.copy(), own.union(*instead.values())
     for (model, weight), (_, probability) in zip(search.alternatives, weighed[1:], strict=True):

@@ -51,8 +51,7 @@ KEPT_STEPS: Final = 2**20
 
 #: one window follows another that ended within this: rounding of a log's times
 SAME_TIME_S: Final = 1e-6
-#: standard uncertainty of curvature by whole counts, over that of a turn about one track: effects that grow with it are
-#: good to a fiftieth in the tightest turns
+#: standard uncertainty of curvature by whole counts, over that of a turn about one track
 CURVATURE_ERROR_PER_TRACK: Final = 0.02
 #: smoothing over more steps would join one turn with the next
 MOST_SMOOTHED_STEPS: Final = 10
@@ -136,7 +135,7 @@ class Observations:
     sensor_m: tuple[float, float] = (0.0, 0.0)  #: stated place of the reference's sensor on the vehicle
     sigmas_assumed: bool = False  #: whether a program filled in an instrument's uncertainty because nobody stated it
     notes: tuple[str, ...] = ()  #: what had to be omitted or assumed, in sentences
-    #: whether front wheel alone, or the rear axle's way and the steering, drive the odometry: two wheels represent it
+    #: whether front wheel alone, or the rear axle's way and the steering, drive the odometry
     by_front: bool = False
     by_shaft: bool = False  #: whether that is the rear axle's way, under the name of the front wheel's
     #: shape (n_steps,): what mecanum wheels roll to the left in each step, or an axle slips, over the mean radius

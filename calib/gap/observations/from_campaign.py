@@ -212,7 +212,7 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
 def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, share: float = 1.0) -> Observations:
     campaign, references = setup.campaign, [run.reference for run in recorded if run.reference is not None]
     travelled_m = sum(float(each.travelled_m[-1]) for each in references)
-    # of three in a usual recording asked for by windows, one begins and ends on the move
+    # of three windows one begins and ends on the move
     wanted_m = travelled_m / (WINDOWS_WANTED * max(share, 1.0))
     # short enough for many windows, long enough that wheels matter
     length_m = float(np.clip(wanted_m, min(MIN_WINDOW_TRACKS * setup.model.track_m, WINDOW_M), WINDOW_M))
@@ -226,7 +226,7 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
         lacking += sum(bool(ends[run.run] and np.isnan(unit.measured[1:]).all()) for unit in posed)
         units.extend(posed)
         if windows and not setup.stands_in:
-            # what front wheel and laser measure is compared over the whole: windows would share their errors
+            # front wheel and laser are compared over the whole: windows would share their errors
             units.append(replace(run, measured=np.append(run.measured[:1], np.full(3, np.nan))))
     notes = []
     if without_counts := len(campaign.runs) - len(recorded):

@@ -120,7 +120,7 @@ def fixed(
 
 
 def _farther(ran: Iterable[Trial], closure: Closure) -> Iterator[str]:
-    # headings that come right weigh more than ends that errors of opposite sense kept near
+    # headings weigh more than ends that opposite errors kept near
     for trial in ran:
         before_m, after_m = trial.before_rms_m or 0.0, trial.after_rms_m or 0.0
         if after_m**2 > before_m**2 + (closure.floor_rms_m or 0.0) ** 2:

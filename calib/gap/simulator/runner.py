@@ -187,8 +187,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 NOISE_SHARE: Final = 0.02
 #: runs of a noisy one per set of parameters
 REPEATS: Final = 4
-#: change by a step, in standard deviations of a noisy run, that shows a signature within 1 %: longer ones bend the
-#: paths
+#: change by a step, in standard deviations of a noisy run, that shows a signature within 1 %
 CLEAR_CHANGE: Final = 60.0
 #: largest step over a nominal value that is not zero
 NOT_NOTHING: Final = 0.9
