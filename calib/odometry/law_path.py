@@ -52,7 +52,7 @@ def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
 
 
 def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
-    """Return the vehicle of a campaign, fit or coefficient file (None: the nominal one), with changes."""
+    """Return the vehicle of a campaign, fit or coefficient file (None: nominal), with changes."""
     vehicle = Vehicle()
     if source is not None:
         if (source / "campaign.toml").is_file():

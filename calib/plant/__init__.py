@@ -312,7 +312,7 @@ def while_driving(act: Callable[[Moment, World, FloatArray, Knobs], None]) -> Ac
 
 
 def rolling(share: Callable[[Moment], FloatArray]) -> Act:
-    """Return an act that makes both wheels roll more while driving: a share for each unit of its size."""
+    """Return an act that makes both wheels roll more while driving: a share per unit of size."""
     return while_driving(lambda now, _world, size, _knobs: now.roll_more(size * share(now)))
 
 

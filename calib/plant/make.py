@@ -162,7 +162,7 @@ def make_campaigns(
     model: OdometryModel | None = None,
     names: Sequence[str] = ("campaign",),
 ) -> tuple[Campaign, ...]:
-    """Drive a design as often as there are names, each time with other noise; see `make_campaign`."""
+    """Drive a design as often as there are names, with other noise each; see `make_campaign`."""
     noise = noise or random_noise(rng)
     model = model or random_model(design, rng)
     causes = as_causes(truth, design, rng)

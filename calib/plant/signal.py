@@ -145,7 +145,7 @@ class Strength:
 def strengths(
     design: Design, model: OdometryModel, noise: Noise, causes: Causes, *, step_s: float = 0.02, weigh: bool = True
 ) -> Strength:
-    """Drive without noise, without any cause and with each; see `Strength`; `weigh`: fill `alone` and `beside`."""
+    """Drive without noise, without any cause and with each; `weigh`: fill `alone` and `beside`."""
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
         design = replace(design, log_period_s=0.24)
@@ -296,7 +296,7 @@ def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Caus
 
 
 def rivals(among: Alternatives) -> list[tuple[str, float]]:
-    """Return the other effects, nearest first, each with the norm of what its best form cannot imitate of the cause."""
+    """Return the other effects, nearest first, each with the norm of what it cannot imitate of the cause."""
     driven = among.driven
     nearest: dict[str, float] = {}
     base = [] if is_calibration(among.cause) else [driven.absorbed]

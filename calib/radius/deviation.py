@@ -141,7 +141,7 @@ def deviation_rows(
 
 
 def table_setting(campaign: Campaign | None, distance_m: float | None, track_m: float | None) -> tuple[float, float]:
-    """Return distance and track of the table: as given, else the campaign's (median distance), else the paper's."""
+    """Return distance and track of the table: as given, else the campaign's (median distance) or the paper's."""
     if distance_m is None:
         known = np.array([]) if campaign is None else campaign.runs.number("distance_m")
         known = np.abs(known[np.isfinite(known)])

@@ -259,7 +259,7 @@ def _with_weighing_check(fit: WheelFit) -> WheelFit:
 
 
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
-    """Return `fit` with the check against temperature, shape (n_runs,), NaN where not read."""
+    """Return `fit` with the check against temperature, (n_runs,), NaN where not read."""
     known = np.isfinite(temperature_C)
     if not known.any() or (span := float(np.ptp(temperature_C[known]))) < MIN_SPAN_K:
         return fit

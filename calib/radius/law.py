@@ -101,7 +101,7 @@ class WheelLaw:
 
 
 def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
-    """Return the 97.5 % quantile of one Student variate, or a sum of two independent ones, each times its scale."""
+    """Return the 97.5 % quantile of one Student variate or a sum of two, each times its scale."""
     from scipy.optimize import brentq
 
     if len(scales) == 1:
@@ -326,7 +326,7 @@ def critical_curve(dof_between: float, dof_within: float) -> FloatArray:
 
 
 def critical_value(share: ArrayLike, dof_between: float, dof_within: float) -> FloatArray:
-    """Return the critical value for observed shares, V_between over the sum; it multiplies the root of the sum.
+    """Return the critical value for observed shares, V_between over the sum; it multiplies its root.
 
     `dof_between`, `dof_within`: 0 where there is no such part.
     """

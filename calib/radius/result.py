@@ -115,7 +115,7 @@ class Fit(Result):
         return DataFrame(_rows(self))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fit as plain values: the keys of ``calib fit --json`` and everything `from_dict` needs."""
+        """Return the fit as plain values, as ``calib fit --json``."""
         document: dict[str, object] = {"format": FORMAT, "campaign": self.name, "wheels": self.wheels}
         document["runs"] = _rows(self)
         document |= {name: getattr(self.radii, name) for name in ("budget", "left_out")}
@@ -183,7 +183,7 @@ def provenance(campaign: Campaign, arguments: Mapping[str, object]) -> Mapping[s
 
 
 def ingest_notes(campaign: Campaign) -> list[list[str]]:
-    """Return what the import of a campaign noted, (where, text); empty for one that was not imported."""
+    """Return what the import of a campaign noted, (where, text); empty for one not imported."""
     file = None if campaign.root is None else campaign.root / "ingest.json"
     if file is None or not file.is_file():
         return []

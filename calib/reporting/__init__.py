@@ -38,7 +38,7 @@ def _quoted(word: str) -> str:
 
 
 def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
-    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, where that has runs to diagnose.
+    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, where it has runs to diagnose.
 
     Raw files of the lab make one first.
     """

@@ -111,7 +111,7 @@ def report_of(
     where: Path | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Return the report on a fit or a campaign (fitted now); where its runs allow no law, on their geometry.
+    """Return the report on a fit or a campaign; where its runs allow no law, on their geometry.
 
     `issued`, `accept`, `where`: see `source_of`; `seed`: of the diagnosis of the gap, which is added; None: none is.
     Raises BadInputError where a fit is to be diagnosed; RefusedError where the runs allow neither a law nor a geometry.

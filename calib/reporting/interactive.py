@@ -52,7 +52,7 @@ LEGEND_NAMES: Final = 24
 
 
 def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
-    """Return the panels, and Bokeh itself, as HTML for a page's body: nothing is fetched when the page is opened."""
+    """Return the panels, and Bokeh itself, as HTML for a page's body: nothing is fetched."""
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
     gap, along = GapArrays.of(diagnosis), gap_along_runs(diagnosis.observations, campaign)
     columns = panel_columns(gap, along, run_paths(diagnosis, campaign), COLOURS)

@@ -322,7 +322,7 @@ _PARTS: Final = {
 
 
 def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
-    """Return the name of a run's log by the pattern; None without a pattern, or a number in the run's name.
+    """Return the name of a run's log by the pattern; None without one, or a number in the run's name.
 
     `pattern`: of ``log.files``; else ``log.file``.
     """
@@ -341,7 +341,7 @@ def with_number(pattern: str, number: int) -> str:
 
 
 def fits_name(name: str, wanted: str) -> bool:
-    """Return whether a file's name is the wanted one of `expected_name`, in any letter case."""
+    """Return whether a file's name is the wanted one, in any letter case."""
     return _match(name, wanted.replace("\\", "/").rpartition("/")[2]) is not None
 
 
@@ -358,7 +358,7 @@ def _match(name: str, pattern: str) -> re.Match[str] | None:
 
 
 def moment_of(cells: Iterable[Any]) -> tuple[str, ...]:
-    """Return the first date and time in a row's cells as digits, year or day first; nothing without both."""
+    """Return the first date and time in a row's cells as digits, year or day first; else nothing."""
     days, second = 0, 0
     for cell in map(str, table.filled_cells(list(cells))):
         for text in (cell, f"{cell} 00:00"):

@@ -129,7 +129,7 @@ def reading_of(name: str) -> tuple[str, str] | None:
 
 
 def guessed_log_column(name: str) -> str | None:
-    """Return the log's column that a name may mean, or None; of ``stream:column`` the last part counts first."""
+    """Return the log's column that a name may mean, or None; of ``stream:column`` the last part first."""
     parts = re.split(r"[:/.]*[:/](?![^\[(]*[\])])", name)
     last = re.sub(r"^(position|velocity|effort)\.", "", parts[-1])
     return _guessed_in_log(last) or _guessed_in_log("_".join(parts).strip("_"))
@@ -146,7 +146,7 @@ def _guessed_in_log(name: str) -> str | None:
 
 
 def _wheel_of(name: str) -> str | None:
-    """Return the wheel whose side, and what of it turns or rolls, stand in any order: ``left_wheel_angle``."""
+    """Return the wheel of a name with a side and what turns or rolls, in any order: ``left_wheel_angle``."""
     parts, (stem, unit) = _names()["parts"], stem_and_unit(name)
     measures, words = SUFFIXES[unit][0] if unit else "", stem.split("_")
 
@@ -181,7 +181,7 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
 
 
 def by_rangefinder(name: str) -> bool:
-    """Return whether a column says that an instrument measured its lengths: preferred to one that does not."""
+    """Return whether a column says that an instrument measured its lengths."""
     return re.search(_names()["parts"]["measured"], stem_and_unit(name)[0]) is not None
 
 

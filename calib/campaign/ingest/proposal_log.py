@@ -57,7 +57,7 @@ SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a 
 
 
 def log_lines(logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the recording or the widest log, and remarks on what is missing."""
+    """Return the lines for the recording or the widest log, and what is missing."""
     if several := {tag: part for tag, (_, part) in files_of_a_run(logs).items()}:
         return _lines_of_several(several, logs)
     log = max(logs, key=lambda file: (file.recording, len(file.columns)))

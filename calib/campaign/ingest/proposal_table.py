@@ -48,7 +48,7 @@ _MOMENTS: Final = (
 
 
 def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the run table's columns, and remarks on the others; runs without `logs` may be nameless."""
+    """Return the lines for the run table's columns; runs without `logs` may be nameless."""
     lines = _place_lines(table)
     left: dict[str, list[str]] = {"recognised by their names": [], "kept as covariates": [], "not used": []}
     targets = _targets(table)
@@ -272,7 +272,7 @@ def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
 
 
 def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileContents]]:
-    """Return the several files that a run's log consists of: a name for each -> its pattern and the first such file."""
+    """Return the files that a run's log consists of: a name for each -> its pattern and first such file."""
     if any(log.recording for log in logs):
         return {}
     groups = list(grouped((re.sub(r"\d+", "#", Path(log.name).name), log) for log in logs).values())

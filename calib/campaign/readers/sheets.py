@@ -58,7 +58,7 @@ SUMMARY: Final = re.compile(
 
 
 def heading(numbered: Rows, layout: Layout, shown: str, above: Sequence[Any] = ()) -> tuple[list[str], int, list[Note]]:
-    """Return the columns' names, with units in brackets, how many rows they take, and what was recognised.
+    """Return the columns' names, with units in brackets, how many rows they take, and notes.
 
     `numbered`: the header first; `above`: the row over it; see `table_rows`.
     """
@@ -228,7 +228,7 @@ def finished(
 def table_rows(
     names: list[str], rows: Rows, n_rows: int, layout: Layout, shown: str
 ) -> tuple[list[str], Rows, list[Note]]:
-    """Return names, and the rows beneath the header; of a laboratory's only those of the table, others noted.
+    """Return names, and the rows beneath the header; of a laboratory's those of the table, others noted.
 
     `rows`: the `n_rows` of the header first; see `heading`.
     """

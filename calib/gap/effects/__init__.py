@@ -116,13 +116,13 @@ class Form:
     end: Centre | None = None  #: where a file writes it zero, for what counts on through the campaign
 
     def centred_at(self, centre: Centre | None) -> "Form":
-        """Return the form with the effect zero at a centre, itself where it has none or none is given."""
+        """Return the form with the effect zero at a centre, itself where it has none."""
         if self.about is None or centre is None or centre == self.centre:
             return self
         return replace(self, perturbations=self.about(centre), centre=centre)
 
     def with_settings(self, settings: Mapping[str, float]) -> "Form":
-        """Return the form with settings of other runs, itself where they are no matter of the runs."""
+        """Return the form with settings of other runs, if any."""
         return self if self.at is None else replace(self, perturbations=self.at(settings), settings=dict(settings))
 
     @property
@@ -199,7 +199,7 @@ class Effect(ABC):
         return 1.0, ""
 
     def offer(self, offers: Sequence[Offer], *, by_parts: bool = False) -> list[Form]:
-        """Return a form for each of several labels, its parameters and perturbations; the search over them counts."""
+        """Return a form for each label, its parameters and perturbations; the search over them counts."""
         return [Form(self.id, *each, tries=len(offers), by_parts=by_parts) for each in offers]
 
 
@@ -215,7 +215,7 @@ def forms_on(observations: Observations, effects: Mapping[str, Effect], wanted: 
 
 
 def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, float]) -> Form | None:
-    """Return the form of a label, of several that with the nearest settings; None where there is none."""
+    """Return the form of a label, of several that with the nearest settings; else None."""
 
     def off(form: Form) -> float:
         return sum(abs(form.settings[key] - settings[key]) for key in form.settings.keys() & settings.keys())
@@ -273,7 +273,7 @@ class Proportional(Effect):
         return Centre.of(values)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where the quantity is not known everywhere or does not vary."""
+        """Return the single form; none where the quantity is unknown or does not vary."""
         values = self.quantity(observations)
         return [self.form(values, self.acts_on)] if varies(values, self.same_within(values), observations) else []
 

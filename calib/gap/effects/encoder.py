@@ -249,7 +249,7 @@ def corrected(observations: Observations, fault: Blunder) -> Observations:
 
 
 def bad_runs(nominal: Path) -> dict[str, float]:
-    """Return the few runs that end off by a share of their length that no others come near, by id, each its share."""
+    """Return the few runs that end off by a share of their length that no others come near, by id."""
     off, kind = misfit(nominal, by_kind=True), nominal.s.labels["kind"]
     order = np.argsort(-off, kind="stable")
     worst = off[order[: int(MOST_BAD_RUNS * len(off)) + 1]]
@@ -293,7 +293,7 @@ def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by
 
 
 def find_blunder(observations: Observations, nominal: Path) -> Blunder | None:
-    """Return the blunder that corrects the counts, None where the counts are roughly right or nothing helps."""
+    """Return the blunder that corrects the counts, None where they are roughly right or nothing helps."""
     if np.isfinite(observations.simulated).any():
         return None
     now = float(np.mean(misfit(nominal)))

@@ -106,12 +106,12 @@ MAX_ENLARGEMENT: Final = 200.0
 
 
 def effect_class(name: str) -> type[Effect]:
-    """Return the class of a registered effect; for any other id that of all, which says nothing in particular."""
+    """Return the class of a registered effect; `Effect` for any other id."""
     return REGISTRY.get(name, Effect)
 
 
 def title_of(name: str) -> str:
-    """Return the title of an effect by its id; the id in plain words where the effect is the user's own."""
+    """Return the title of an effect by its id; of the user's own the id in plain words."""
     if name in REGISTRY:
         return REGISTRY[name].title
     if name.startswith(SIMULATOR_PREFIX):
@@ -122,7 +122,7 @@ def title_of(name: str) -> str:
 
 
 def library(observations: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
-    """Return the candidate effects of a campaign: of the library, of its further columns, and the user's own.
+    """Return the candidate effects of a campaign: of the library, of further columns, the user's own.
 
     Effects found before the search are no candidates, nor is a column that an effect acts through. `declared`: the
     ``[[effects]]`` tables of ``campaign.toml``.
@@ -240,7 +240,7 @@ class Entry:
 
 
 def catalogue(nominal: Path, declared: object = (), only: Collection[str] = ()) -> list[Entry]:
-    """Return the effects that runs can be judged by, those of the ids `only` or all, in the order of `library`."""
+    """Return the effects that runs can be judged by, of the ids `only` or all, as in `library`."""
     every = every_effect(nominal.s, declared=declared)
     for name in only:
         if name not in every:

@@ -28,7 +28,7 @@ MIRRORED: Final = 0.999  #: confidence at which the scatter of ends tells mirror
 
 @dataclass(frozen=True, slots=True)
 class TurnedReference:
-    """The angle by which the sensor's axes are turned against the vehicle's, beyond what the campaign states."""
+    """The angle by which the sensor's axes are turned, beyond what the campaign states."""
 
     effect = ReferenceYaw
     yaw_rad: float
@@ -70,7 +70,7 @@ class TurnedReference:
         return {"yaw": (value, (value - half, value + half), "rad")}
 
     def refined(self, turned_rad: float, sd_rad: float) -> "TurnedReference":
-        """Return the mounting whose positions a fit beside the other causes found turned by so much more."""
+        """Return the mounting turned by so much more, as a fit beside the other causes found."""
         return replace(self, yaw_rad=self.yaw_rad - turned_rad, sd_rad=sd_rad)
 
     def correct(self, campaign: Campaign) -> Campaign:
@@ -89,7 +89,7 @@ class TurnedReference:
 
 
 def find_turned(nominal: Path) -> TurnedReference | None:
-    """Return the large angle by which the reference is turned; None where there is none, or it explains too little.
+    """Return the large angle by which the reference is turned; None where it explains too little.
 
     A sensor at the place l on the vehicle and turned by psi sees the end z of a run that turned by theta as
     ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns; mirrored axes see the conjugate.
@@ -167,7 +167,7 @@ class Restated:
 
 
 class DisplacedSensor(Restated):
-    """How far the sensor is from its stated place, where its positions alone tell the heading, too."""
+    """How far the sensor is from its stated place, where its positions tell the heading, too."""
 
     effect = ReferenceLeverArm
     label = ""
@@ -188,7 +188,7 @@ class DisplacedSensor(Restated):
 
 
 class LateReference(Restated):
-    """How old the reference's readings are, where its positions alone tell the heading, too."""
+    """How old the reference's readings are, where its positions tell the heading, too."""
 
     effect = ReferenceLatency
     label = ReferenceLatency.OF_POSE

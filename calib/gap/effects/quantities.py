@@ -44,7 +44,7 @@ def loads_vary(observations: Observations) -> bool:
 
 
 def same_load_N(observations: Observations) -> float:
-    """Return the difference within which loads of a wheel are one load; not above 5 N, less on a light vehicle."""
+    """Return the difference within which loads of a wheel are one; at most 5 N."""
     return SAME_LOAD_N / softness(observations)
 
 

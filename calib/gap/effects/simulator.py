@@ -56,7 +56,7 @@ class Carried:
 
 
 class SimulatorParameter(Effect):
-    """A parameter of the simulator is off: the change of the readings is what the simulator showed for a step of it.
+    """A parameter of the simulator is off: readings change as a step of it showed.
 
     `parameter`: sizes are its deviation from the nominal value; `carried`: what it does on the runs driven; `family`:
     that of the library's effect that it stands for.
@@ -99,7 +99,7 @@ class _Basis:
 
 
 class WheelMotion:
-    """What wheels that are off do to the ends of runs: the motion in what a simulator's parameters change.
+    """What wheels that are off do to the ends of runs.
 
     `noise`: (n_obs, 4), of a change of (distance, x, y, heading); zero where the simulator repeats itself.
     """
@@ -191,7 +191,7 @@ def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
 
 
 def as_simulated(observations: Observations, noise: FloatArray | float = 0.0) -> Observations:
-    """Return the observations with wheels that travel as an outside simulator's do, as far as its ends tell.
+    """Return the observations with wheels that travel as an outside simulator's do, by its ends.
 
     What bends a path is not linear: it is taken about the simulator's path, not the model's, nor its `noise`'s.
     """

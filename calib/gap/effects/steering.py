@@ -98,7 +98,7 @@ class SteeringZero(Effect):
 
 
 def steering_blunder(observations: Observations) -> str:
-    """Return what is wrong with an angle that no vehicle steers by; empty where it is right or drives no odometry."""
+    """Return what is wrong with an angle that no vehicle steers by; empty where it is right or unused."""
     headed = observations.usable[:, Channel.HEADING] & has_front(observations)
     if not observations.by_front or not headed.any():
         return ""

@@ -316,7 +316,7 @@ def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int,
 
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:
-    """Return the parameters whose interval holds zero and reaches beyond what is plausible on both sides.
+    """Return the parameters whose interval holds zero and reaches beyond the plausible on both sides.
 
     `parameters`: of one effect; `sizes`, `half_width`: (n_parameters,), of the intervals.
     """
@@ -330,7 +330,7 @@ def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width:
 def identifiability_message(
     parameters: Sequence[Parameter], sizes: FloatArray, covariance: FloatArray, coverage: float
 ) -> str:
-    """Say which of an effect's parameters the runs leave undetermined or determine only together; else empty.
+    """Say which of an effect's parameters the runs leave open or determine only together; else empty.
 
     `coverage`: half an interval over its standard uncertainty.
     """

@@ -43,7 +43,7 @@ Model = tuple[int, ...]
 
 
 class LocalSearch:
-    """One linearisation: forms kept, the current hypothesis, and sums under its deviations."""
+    """One linearisation: forms kept, the hypothesis, and sums under its deviations."""
 
     def __init__(self, whole: LinearSystem) -> None:
         fitted, self.largest_scale = whole.fitted, np.inf

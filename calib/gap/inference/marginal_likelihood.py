@@ -216,7 +216,7 @@ def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: Int
 
 
 def prior_scale(sizes: FloatArray, owner: IntArray, columns: FormPriors, index: IntArray) -> FloatArray:
-    """Return each column's prior scale: its form's rms size without shifts, from a tenth to what is plausible."""
+    """Return each column's prior scale: its form's rms size, from a tenth to what is plausible."""
     most = columns.most[index]
     alike = (owner[:, :, None] == owner[:, None, :]) * columns.own[index][:, None, :]
     alike /= np.maximum(alike.sum(axis=2, keepdims=True), 1.0)

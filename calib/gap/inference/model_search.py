@@ -329,7 +329,7 @@ def _step(before: Fitted, after: Fitted) -> float:
 
 
 def _best_alternative(found: _Found, settle: _Settle, weigh: _Weigh) -> _Found:
-    """Return the best of a set and of likely ones with another effect in place of one, each about its own path.
+    """Return the best of a set and of likely ones with one effect replaced, each about its own path.
 
     In a large gap linearising about another's path errs by more than evidence weighs.
     """

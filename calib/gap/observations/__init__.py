@@ -248,7 +248,7 @@ class Observations:
 
     @property
     def wheel_loads_N(self) -> FloatArray:
-        """Load of the left and of the right wheel, the mean over its way, shape (2, n_obs); NaN where not known."""
+        """Load of left and right wheel, the mean over its way, shape (2, n_obs); else NaN."""
         return np.stack([self.number("load_left_N"), self.number("load_right_N")])
 
     @property

@@ -172,7 +172,7 @@ def check_distances(campaign: Campaign, observations: Observations) -> None:
 
 
 def with_known_loads(campaign: Campaign) -> tuple[Campaign, str]:
-    """Return the campaign without runs of unknown load where measured ones vary, and a sentence on what was omitted.
+    """Return the campaign without runs of unknown load where measured ones vary, and a note.
 
     Taken as unladen they would contradict any law of the load. Of payloads alone none stated is none carried.
     """

@@ -165,7 +165,7 @@ class ReferencePoses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CourseOverGround(ReferencePoses):
-    """Positions of the sensor alone, headings from them: the course over a short way, less the wheels' against it."""
+    """Positions alone, headings from them: the course over a short way, less the wheels' against it."""
 
     by_wheels: FloatArray  #: shape (n_poses, 3): of the vehicle
     place_m: FloatArray  #: shape (2,): the sensor's place on the vehicle

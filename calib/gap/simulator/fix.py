@@ -145,7 +145,7 @@ def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
 
 
 def iterated(diagnosis: Diagnosis, differences: Differences, start: SimulatorFix | None = None) -> SimulatorFix:
-    """Run the simulator with the fix, and correct it by secant steps (Broyden 1965) until the runs ask for no more.
+    """Run the simulator with the fix, and correct it by secant steps (Broyden 1965) until runs ask for no more.
 
     A step that leads away is halved. `start`: a fix already run, by default the diagnosis' parameters.
     """
@@ -326,7 +326,7 @@ def scaled_signatures(diagnosis: Diagnosis) -> tuple[list[Form], IntArray, Float
 
 
 def square_left(columns: FloatArray, gap: FloatArray, sign: IntArray) -> float:
-    """Return the squares of a gap (n_rows,) that columns (n_rows, k) leave; infinite beyond plausible sizes."""
+    """Return the squares of a gap (n_rows,) that columns (n_rows, k) leave; infinite if implausible."""
     sizes = np.linalg.solve(columns.T @ columns + 1e-9 * np.eye(len(sign)), columns.T @ gap)
     possible = (np.abs(sizes) < 1.0).all() and (sizes * sign >= 0.0).all()
     return float(((gap - columns @ sizes) ** 2).sum()) if possible else np.inf

@@ -33,7 +33,7 @@ def export_from(
 
 
 def diagnosed(path: Path, progress: "Progress") -> "tuple[Campaign, Diagnosis]":
-    """Return a campaign and its diagnosis without a plan; BadInputError for a result folder, which has no runs."""
+    """Return a campaign and its diagnosis without a plan; BadInputError for a result folder."""
     from calib.campaign.read import read_campaign
     from calib.gap.diagnose import diagnose_in_full
     from calib.radius.result import is_result

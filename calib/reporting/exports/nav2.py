@@ -146,7 +146,7 @@ def spread_of(path: PredictedPath, units: BoolArray, model: str) -> Spread:
 
 
 def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None) -> FloatArray:
-    """Return the components' sizes (n_components,), none below zero, that fit the residuals (n_obs, 3) best.
+    """Return the components' sizes (n_components,), none below zero, that fit residuals (n_obs, 3) best.
 
     By the likelihood of along, lateral and heading, each by itself. `begin`: sizes near the solution.
     """
@@ -177,7 +177,7 @@ def _fit(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None)
 
 
 def stated(spread: Spread, residuals: FloatArray, raised: float = 1.0) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return the size of each component, times `raised`, and the names of those that the residuals do not determine.
+    """Return each component's size, times `raised`, and the names of those left undetermined.
 
     Without these the fit is worse by no more than chance. They have the most that the residuals allow with any sizes of
     the others.
@@ -276,7 +276,7 @@ class _KindNoise:
 
 
 def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray) -> tuple[_KindNoise, ...]:
-    """Return the alphas of each kind of enough runs, where there are several; `models`: of `MODELS`."""
+    """Return the alphas of each kind of enough runs; `models`: of `MODELS`."""
     found = []
     for kind in sorted(set(kinds)) if len(set(kinds)) > 1 else ():
         on = kinds == kind
