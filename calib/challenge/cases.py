@@ -33,7 +33,7 @@ class Recipe:
     """One case to make."""
 
     case: str
-    number: int  #: place in the unshuffled list; with the seed it determines all that is drawn
+    number: int  #: in the unshuffled list; with the seed it determines all that is drawn
     group: str
     effects: tuple[str, ...] = ()  #: ``effect`` or ``effect/form``; empty is none
     targets: tuple[float, ...] = ()  #: wanted signal of each; NaN is the typical size

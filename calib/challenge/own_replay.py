@@ -61,7 +61,7 @@ def own_noise(observations: Observations, left: FloatArray, covariance: FloatArr
     return OwnNoise(whitened, root, group, size > 1)
 
 
-#: the sensor reversed once it came back by this, and by so many standard deviations of its noise
+#: by which, and so many standard deviations of its noise, a sensor comes back once it reversed
 TURNED_RAD: Final = 2e-3
 TURNED_STD: Final = 6.0
 

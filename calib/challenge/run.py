@@ -58,7 +58,7 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
     }
 
 
-#: campaign, seed, effects to leave out, fresh campaign -> verdict, and what its fix achieves there
+#: campaign, seed, effects to exclude, fresh campaign -> verdict, what its fix achieves there
 Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[Mapping[str, Any], Achieved | None]]
 
 

@@ -13,7 +13,7 @@ from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats, grouped
 
 COVERAGE: Final = 0.95
-#: share of named vehicles that may be wrong (Benjamini and Hochberg): each costs a visit
+#: of named vehicles that may be wrong (Benjamini and Hochberg): each costs a visit
 FALSE_SHARE: Final = 0.01
 #: chance that any of a short list is wrong (Holm)
 FALSE_CHANCE: Final = 0.01

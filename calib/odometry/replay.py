@@ -57,7 +57,7 @@ class Replay(Result):
     ratio_ci95: tuple[float, float]
     runtime: "RuntimeCheck"  #: the vehicle's own code on the same logs
     left_out: dict[str, int]  #: runs that could not be compared, by reason
-    #: whether a front wheel or four wheels drive the odometry: ``constant`` is ``corrected``, the runtime not fed
+    #: whether other than rear wheels drive the odometry: ``constant`` is ``corrected``, the runtime not fed
     by_geometry: bool = False
     notes: tuple[str, ...] = ()
 

@@ -26,7 +26,7 @@ MAX_CELLS: Final = 200
 MOST_OF_SQUARES: Final = 0.1
 #: runs tried as outliers, of a fifth of all at most: Rosner's approximation was tried for ten
 MOST_OUTLIERS: Final = 10
-#: share of the direction's squares that the load leaves: below, a variance inflation above ten (Kutner et al., 10.5)
+#: of the direction's squares, that the load leaves: below, a variance inflation above ten (Kutner et al., 10.5)
 ALIASED, ROUNDING = 0.1, 1e-9
 #: share of the load range by which the reference load may lie outside it
 REFERENCE_MARGIN: Final = 0.02

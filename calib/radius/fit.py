@@ -32,7 +32,7 @@ MIN_SPAN_K: Final = 1.0
 USUAL_PER_K: Final = 5e-5
 #: of a load, usual with scales under the wheels
 WEIGHED_TO: Final = 0.01
-#: lengths nearer than so many times a distance's uncertainty hold that error themselves
+#: lengths nearer, in uncertainties of a distance, hold that error themselves
 LENGTHS_APART: Final = 30.0
 #: errors of a fifth of each amplitude look like one 0.8 times as large; peak to peak is twice
 OTHER_AMPLITUDE: Final = 1.5

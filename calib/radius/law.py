@@ -318,7 +318,7 @@ def critical_curve(dof_between: float, dof_within: float) -> FloatArray:
         curve = np.clip(curve + 0.5 * (COVERAGE - covered) / rate, pooled_t, ends.max())
         curve[0], curve[-1] = ends
         if ends[1] >= ends[0]:
-            # past the dip that pooled degrees of freedom allow, more weight on fewer of them never narrows it
+            # past the dip more weight on fewer degrees of freedom never narrows it
             low = int(np.argmin(curve))
             curve[low:] = np.maximum.accumulate(curve[low:])
     curve.flags.writeable = False

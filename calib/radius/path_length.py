@@ -27,7 +27,7 @@ MIN_SAMPLES: Final = 16
 MIN_PERIODS: Final = 0.5
 #: six points a period at the most, see `HEADING_POINTS`
 MAX_PERIODS: Final = 42.0
-#: of the grid of starting values; finer than half a period, so that Gauss-Newton finds the right wave
+#: of starting values; finer than half a period, so that Gauss-Newton finds the right wave
 PERIOD_STEP: Final = 0.25
 #: headings about the axis over those about a straight trend, beyond which the fit diverged
 MAX_TREND_RATIO: Final = 3.0

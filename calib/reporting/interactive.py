@@ -37,14 +37,14 @@ except ImportError as error:
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 #: scale of numbers, light to dark (matplotlib's viridis, reversed)
 RAMP: Final = ("#FDE725", "#7AD151", "#22A884", "#2A788E", "#414487", "#440154")
-#: a run's paths (model alone, with the causes that the fix corrects, measured): line, mark, name in the legend
+#: a run's paths (model alone, corrected, measured): line, mark, name in the legend
 PATH_STYLES: Final = {
     "before": ("dashed", "circle", "simulated"),
     "after": ("solid", "square", "simulated with the causes"),
     "reference": ("dotted", "x", "measured"),
 }
 ALIASES_NAMED: Final = 3
-#: opacity of what is not selected, and a panel's size in pixels: two side by side where there is room
+#: opacity of what is not selected, and a panel's size in pixels
 FADED_ALPHA: Final = 0.12
 PANEL_LEAST_WIDTH: Final = 300
 PANEL_HEIGHT: Final = 380

@@ -210,7 +210,7 @@ def usual_step(values: FloatArray) -> float:
 
 
 _RISES: Final = 0.98
-#: shares of a turn: an angle's jump back, and the span of one that starts again, with rounding
+#: of a turn: an angle's jump back, and the span of one that starts again
 _JUMP, ONE_TURN = 0.75, 1.001
 #: a clock's steps are off the usual one by no more, for this share of them
 _EVEN, _MOSTLY = 0.05, 0.9

@@ -43,7 +43,7 @@ _CORNERS: Final = {
     "counts_left": ("counts_front_left", "counts_rear_left"),
     "counts_right": ("counts_front_right", "counts_rear_right"),
 }
-#: of its span, by which two coupled wheels of a side differ at most: they slip, but do not steer
+#: of its span, by which two coupled wheels of a side differ: they slip, but do not steer
 _COUPLED: Final = 0.02
 _LEVEL: Final = 0.1
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
@@ -185,7 +185,7 @@ def _lay_flat(found: dict[str, ColumnContents], columns: Sequence[ColumnContents
         return
     spans = [axis.span for axis in axes]
     up = spans.index(min(spans))
-    # the floor is uneven, and a straight run's sideways motion small
+    # a straight run's sideways motion is small, too
     up = up if spans[up] < _LEVEL * sorted(spans)[1] else 2
     found["ref_x_m"], found["ref_y_m"] = axes[(up + 1) % 3], axes[(up + 2) % 3]
     turns = [column for column in columns if column.name[-1].lower() == "xyz"[up] and _w(column) in named]

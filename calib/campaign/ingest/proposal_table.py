@@ -32,7 +32,7 @@ def unit_remark(name: str) -> str:
 
 
 _LONGEST_M: Final = 3.0
-#: numbers below it are as likely masses of wheels in kg as the loads of a robot of 30 kg, and no other column tells
+#: numbers below it are as likely wheels' masses in kg as the loads of a robot of 30 kg
 _LIGHT_N: Final = 150.0
 #: times further apart are of runs, not of a log's samples
 _SHORTEST_RUN_S: Final = 5.0

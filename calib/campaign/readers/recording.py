@@ -63,7 +63,7 @@ class Stream:
     clock: str
     #: as in the file, by column
     units: Mapping[str, str] = field(default_factory=dict)
-    #: median of arrival minus stamp, where messages have stamps; it differs between clocks
+    #: median of arrival minus stamp; it differs between clocks
     behind_arrival_s: float | None = None
 
     def __len__(self) -> int:

@@ -16,7 +16,7 @@ from calib.errors import BadFileError
 from calib.types import SUFFIXES, unit_named
 
 Rows = list[tuple[int, Sequence[Any]]]
-#: unit of a wheel's column -> what its numbers are, turns (or counts, metres) a unit, and other spellings in lower case
+#: unit of a wheel's column -> what its numbers are, turns (or counts, metres) a unit, other spellings
 COUNT_UNITS: Final[Mapping[str, tuple[str, float, str | None]]] = {
     "counts": ("counts", 1.0, r"counts?|cn?ts?|ticks?|(im)?pulses?|in[ck]|imp"),
     "counts/sample": ("increments", 1.0, r"increments|(cnt|ticks)/sample|counts/step"),

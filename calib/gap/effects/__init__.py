@@ -51,10 +51,10 @@ class Parameter:
     #: name, unit: as printed; ``1`` for a plain number
     name: str
     unit: str
-    typical: float  #: order of magnitude by literature and arithmetic; the scale of its prior
+    typical: float  #: order of magnitude; the scale of its prior
     largest: float  #: larger is physically implausible
     sign: int = 0  #: 1 or -1 where only that sign has a meaning, 0 where either does
-    #: whether it only shifts where the others have their zero: its prior is as wide as their sizes make it
+    #: whether it only shifts where the others have their zero
     shift: bool = False
 
 
@@ -104,7 +104,7 @@ class Form:
     centre: Centre | None = None
     #: centre -> `perturbations` with the effect zero there; each form with a centre has it
     about: Callable[[Centre], Perturbations] | None = None
-    #: lowest and highest value of what its single parameter multiplies at which it may truly be zero
+    #: lowest and highest value, of what its parameter multiplies, at which it may truly be zero
     zero_within: tuple[float, float] = (-inf, inf)
     #: settings -> `perturbations` with these, for a form whose settings come from the runs
     at: Callable[[Mapping[str, float]], Perturbations] | None = None
@@ -137,10 +137,10 @@ Offer = tuple[str, tuple[Parameter, ...], Perturbations]
 class Effect(ABC):
     """A candidate cause. A new effect is a subclass in a file of its own and one line in the registry."""
 
-    #: where it comes from: the library, a column of the run table, ``campaign.toml``, or an installed package
+    #: the library, a column of the run table, ``campaign.toml``, or an installed package
     origin: ClassVar[str] = "the library"
     id: ClassVar[str]  #: name in verdicts
-    title: ClassVar[str]  #: what it is, for people, in a few words that fit into "the gap is explained by ..."
+    title: ClassVar[str]  #: a few words that fit into "the gap is explained by ..."
     #: what to suspect where the fitted size is beyond what is plausible; a clause
     implausible: ClassVar[str] = "another cause that looks alike"
     #: calibration effects that another zero point of this effect looks like (temperature from 20 degrees: the radii); a

@@ -79,7 +79,7 @@ MAX_STRIPS: Final = 40
 MIN_RUNS_IN_CELL: Final = 3
 #: cosines of headings further apart are both ways: more than a right angle, by more than rounding
 BOTH_WAYS_COSINE: Final = 1.0 + 1e-6
-#: cells are numbered (lane, column, row) in one integer; a floor is smaller than this many cells either way
+#: of cells, numbered (lane, column, row) in one integer: a floor is smaller either way
 _GRID_WIDTH: Final = 2**16
 #: lane number of a strip across all lanes
 _STRIP_LANE: Final = -1
@@ -192,7 +192,7 @@ def _grid(
 
 
 MAX_LANES: Final = 8
-#: a run that turns by more than this in all, to and fro, is no lane
+#: a run that turns by more in all is no lane
 MAX_LANE_TURN_RAD: Final = 2.5
 
 

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from calib.coefficients.file import CoefficientFile
     from calib.coefficients.sections import EffectSection
 
-#: the effects of the library, in the order of listings; a new one is a class and a line here
+#: in the order of listings; a new one is a class and a line here
 EFFECTS: Final[tuple[type[Effect], ...]] = (
     radii.RadiusScale,
     radii.UnequalRadii,
@@ -129,7 +129,7 @@ def library(observations: Observations, *, exclude: Collection[str] = (), declar
     """
     registered, covariates, own = _all(observations, declared)
     taken = {column for effect in own if effect.id not in exclude for column in effect.columns}
-    # a counted drive shaft tells what the load does to the mean of both rear wheels
+    # a counted drive shaft tells what the load does to both wheels' mean
     told = Family.LOAD if observations.by_shaft else None
     hidden = [e for e in registered if observations.by_front and e.of_rear_wheels and e.family != told]
     searched = [e for e in registered if not (e.found_before_search or e in hidden)]
@@ -367,7 +367,7 @@ def applied_perturbations(
         chosen.append((section, form.with_settings(stated).centred_at(centre)))
     if path is not None:
         return _perturbations(chosen, path), notes
-    # what an effect does depends a little on the path that it itself bends
+    # an effect depends a little on the path that it bends
     about = predict(observations)
     for _ in range(2):
         about = predict(observations, _perturbations(chosen, about))

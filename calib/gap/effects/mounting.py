@@ -15,9 +15,9 @@ from calib.types import ComplexArray, FloatArray
 
 #: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth
 MIN_TURN_RAD: Final = 0.1
-#: a turned reference keeps lengths; one that stretches them by more is another fault
+#: of lengths, which a turned reference keeps
 MAX_STRETCH: Final = 0.2
-#: a turn and a place are two unknowns of each run's two: with fewer runs they explain anything
+#: a turn and a place are unknown: with fewer runs they explain anything
 MIN_TURNED_RUNS: Final = 4
 #: what the angle leaves is less than this share of what it explains, and what bends the heading less than this of it
 TURN_RESIDUAL_SHARE: Final = 0.2

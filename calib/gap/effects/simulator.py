@@ -23,11 +23,11 @@ _ROUNDING: Final = 1e-6
 _PROMISED_SHARE: Final = 0.2
 #: wheels are followed in proportion to a quantity, or alike in a run, where the first step promises to leave no more
 _FOLLOWS_SHARE: Final = 0.01
-#: radii and track alike in all runs that leave less than this share are all that there is to a change
+#: radii and track alike in all runs that leave a smaller share are all of a change
 _ALL_BUT: Final = 1e-4
 #: wheels carry a change where they leave no more than this share of its squares
 _LEFT_SHARE: Final = 0.1
-#: a remainder is more than the simulator's noise where noise exceeds it less often than this
+#: a remainder that noise exceeds less often is no noise
 _NOISE_TAIL: Final = 1e-3
 #: a channel repeats itself within this share of an instrument's stated uncertainty
 _REPEATED_SHARE: Final = 0.02

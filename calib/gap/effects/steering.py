@@ -214,7 +214,7 @@ def _noise_rad(observations: Observations, angle: FloatArray) -> float:
 
 
 def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
-    # as the rear wheels' turn tells, by a line through the headings to either side, less the median on the straight;
+    # by a line through the rear wheels' headings to either side, less the median on the straight;
     # NaN where the vehicle hardly moves
     steered = np.concatenate([_bend_rad(part) for part in observations.parts()])
     straight = (np.abs(angle) < TURN_ANGLE_RAD) & np.isfinite(steered)

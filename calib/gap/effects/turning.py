@@ -28,7 +28,7 @@ from calib.gap.observations import POSE, Observations
 from calib.gap.predict import Path
 from calib.types import GRAVITY_MPS2, FloatArray
 
-#: what slip of the typical size makes of a run is not seen below this
+#: what typical slip makes of a run is not seen below
 LEAST_SLIP_M: Final = 1e-4
 
 

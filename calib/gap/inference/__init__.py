@@ -42,7 +42,7 @@ SMALL_SHARE: Final = 0.05
 FULL_CLOSURE: Final = 1.0 - SMALL_SHARE
 #: share of noise's squares below which growth harms nobody: 2.5 % of its root mean square
 NEGLIGIBLE_GROWTH: Final = SMALL_SHARE
-#: error of a law's form, as a share of its size; also what one size may differ by between groups of runs
+#: of a law's size, by its form; also what one size may differ by between groups of runs
 FORM_ERROR: Final = SMALL_SHARE
 
 #: what is no noise in a channel: three quarters of the square of two noise levels. Also how much stronger a fix's cause

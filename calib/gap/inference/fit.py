@@ -25,7 +25,7 @@ _MAX_HALVINGS: Final = 10
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
-#: standard uncertainties of a far step: some hundredths of it, which the path moves effects by, are a third of one
+#: standard uncertainties of a far step: the path moves effects by a third of one
 _FAR_STEP: Final = 10.0
 #: chance that noise alone passes for a recalibration
 BY_CHANCE: Final = 0.001

@@ -279,7 +279,7 @@ class SearchResult:
     rest: float  #: probability of a lack of fit
     weighting: Weighting  #: beside the best hypothesis
     nothing: float  #: probability of neither an effect nor a lack of fit, recalibration free
-    #: and then of each set of calibration parameters off, (n_subsets,); none off where that is unlikely
+    #: and of each set of calibration parameters off, (n_subsets,)
     beside_nothing: FloatArray
     gains: FloatArray  #: of no effect, see `weigh_subsets`
 

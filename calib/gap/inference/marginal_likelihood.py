@@ -12,7 +12,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 #: degrees of freedom of the noise level before the gap is looked at
 FLOOR_DOF: Final = 20.0
 _BATCH_SIZE: Final = 400
-#: entries of their scalar products at a time: 1 MB stays in the cache
+#: entries of scalar products at a time: 1 MB stays in the cache
 _BATCH_ENTRIES: Final = 2**17
 #: classes of width, in columns
 _WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80)

@@ -54,7 +54,7 @@ class Basis(StrEnum):
     NOTHING = "nothing: nothing was driven twice, and the sigmas were assumed"
 
 
-#: basis, labels (n_units,) that units share which are compared, trends between these that are no noise, and least dof
+#: basis, labels (n_units,) of units that are compared, trends between these that are no noise, least dof
 _NoiseSupport = tuple[Basis, IntArray, FloatArray | None, float]
 
 

@@ -203,7 +203,7 @@ class Recalibration:
     #: most probable subset, beside an effect its likely substitutes counted with it; if empty, all likelier off than
     #: not, if the runs show them
     likeliest: tuple[str, ...] = ()
-    #: the same where no effect is named and something has to be off: that beside the best hypothesis, or the next
+    #: the same where no effect is named and something has to be off
     needed: tuple[str, ...] = ()
 
     def probability(self, name: str) -> float:

@@ -20,7 +20,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 SCALE_CHOICE_COST: Final = float(np.log(4.0))
 #: prior odds of one more effect at work
 FURTHER: Final = 0.5
-#: prior odds of a lack of fit: at three times these it made two thirds of the false alarms, at these a third
+#: prior odds of a lack of fit, which makes a third of the false alarms; two thirds at three times these
 PRIOR_REST: Final = 0.05
 #: a form of more columns stands apart
 WIDE_FORM: Final = 24

@@ -44,7 +44,7 @@ class Channel(IntEnum):
 N_CHANNELS: Final = len(Channel)
 POSE: Final = (Channel.ALONG, Channel.LATERAL)
 
-#: steps worked on at a time: some forty arrays of half a megabyte mostly stay in the processor's cache
+#: steps worked on at a time: some forty arrays of half a megabyte mostly stay in the cache
 STEPS_AT_ONCE: Final = 2**16
 #: so many steps keep what follows from counts: ten values each
 KEPT_STEPS: Final = 2**20
@@ -141,7 +141,7 @@ class Observations:
     #: shape (n_steps,): what mecanum wheels roll to the left in each step, or an axle slips, over the mean radius
     aside_rad: FloatArray | None = None
     carried_N: FloatArray | None = None  #: shape (n_steps, 2): loads of both wheels, where logs have them
-    #: whether no recalibration is free beside the effects: the parameters of a user's simulator replace it
+    #: whether parameters of a user's simulator replace a free recalibration
     calibration_held: bool = False
     #: whether to look up effects of the model that act where nothing varies, too
     applied: bool = False

@@ -35,7 +35,7 @@ PLAUSIBLE_VALUES: Final = {"temperature_C": (-50.0, 60.0)}
 #: and further than so many interquartile ranges from the median: 30 standard deviations if normal
 MOST_SPREADS: Final = 20.0
 MOST_ODD: Final = 0.2
-#: load over the empty vehicle's of a vehicle that carries nothing: load cells differ by a per cent
+#: load over the empty vehicle's that is none: load cells differ by a per cent
 MOST_OF_EMPTY: Final = 1.02
 _LABELS = ("run_id", "session", "kind", "direction")
 

@@ -136,7 +136,7 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
         if odometry_source(campaign) == "front":
             model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         elif odometry_source(campaign) == "wheels":
-            # the axle that turns as the wheels of both sides do, also where their radii differ
+            # the axle that turns as the wheels of both sides do
             four = mecanum_model(campaign, model)
             model = replace(model, track_m=2.0 * four.arm_m, mecanum=four)
         campaign = on_one_axle(campaign, model)

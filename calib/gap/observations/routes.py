@@ -182,7 +182,7 @@ def _column_width(values: FloatArray) -> float:
     return spread / 10.0 if spread > 0 else 1.0
 
 
-#: how far a guided run strays from its line, unless specified
+#: of a guided run from its line, unless specified
 ASSUMED_LATERAL_M: Final = 0.05
 
 

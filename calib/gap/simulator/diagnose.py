@@ -286,7 +286,7 @@ WINDOW: Final = 2.0 * LOG_EVIDENCE_WINDOW
 BENT_SHARE: Final = 0.05
 #: squares over noise's that a run may promise: twice the noise level
 PROMISED: Final = 4.0
-#: parameters tried together, and sets of them weighed: all of thirty parameters
+#: parameters tried together, and sets weighed: all of thirty parameters
 MOST_ALONE: Final = 3
 MOST_SETS: Final = 5000
 #: share by which a size moves where another parameter beside it takes a part

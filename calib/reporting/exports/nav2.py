@@ -35,7 +35,7 @@ POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
 ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
 #: of nav2_amcl
 DEFAULT_ALPHA: Final = 0.2
-#: bounds of a size that are tried, a third of a per cent apart: from a micrometre in a kilometre
+#: bounds that are tried, a third of a per cent apart: from a micrometre in a kilometre
 BOUNDS: Final = np.geomspace(1e-15, DEFAULT_ALPHA, 10_000)
 #: rise of the misfit beyond chance: half of the 90 % quantile of chi^2, for a size that cannot be negative
 BEYOND_CHANCE: Final = 1.353
