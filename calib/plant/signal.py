@@ -145,7 +145,7 @@ class Strength:
 def strengths(
     design: Design, model: OdometryModel, noise: Noise, causes: Causes, *, step_s: float = 0.02, weigh: bool = True
 ) -> Strength:
-    """Drive without noise, without any cause and with each; `weigh`: fill `alone` and `beside`."""
+    """Drive without noise, without and with each cause; see `Strength`; `weigh`: fill `alone` and `beside`."""
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
         design = replace(design, log_period_s=0.24)
