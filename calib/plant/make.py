@@ -92,7 +92,7 @@ def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: F
         read[:, 0] = 0.0
         read[:, record.frames - 1, np.arange(len(design))] = record.last(poses) + draw.pose.T
         columns |= dict(zip(REFERENCE_POSE, np.round(read, 5), strict=True))
-    kept = (np.arange(record.t_s.shape[0])[:, None] < record.frames).T
+    kept = (np.arange(record.t_s.shape[0])[:, None] < record.frames).T  # (n_runs, n_frames)
     offsets = np.concatenate(([0], np.cumsum(kept.sum(axis=1)))).astype(np.int64)
     return Logs(offsets, {name: np.ascontiguousarray(values.T[kept]) for name, values in columns.items()})
 

@@ -19,7 +19,7 @@ from calib.types import FloatArray, StrArray, floats
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
-#: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m
+#: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
 STRAIGHT_TURN_RAD: Final = 1.2
 #: the same of a measured turn
 STRAIGHT_HEADING_RAD: Final = 0.5
@@ -56,13 +56,14 @@ class Component:
 class EffectiveRadii:
     """Effective radii of a campaign, arrays over the runs used, in the order driven."""
 
+    #: as in the run table, shape (n_runs,)
     run_id: StrArray
     session: StrArray
     direction: StrArray
     load_left_N: FloatArray
     load_right_N: FloatArray
-    distance_m: FloatArray
-    #: corrected for the path
+    distance_m: FloatArray  #: S_O along the corridor, shape (n_runs,)
+    #: effective radii, corrected for the path, shape (n_runs,)
     radius_left_m: FloatArray
     radius_right_m: FloatArray
     #: standard uncertainties from rangefinder, quantisation and path (type B, random from run to run), shape (n_runs,)

@@ -103,6 +103,7 @@ NAMES: Final = tuple(effect.id for effect in _OWN)
 DIRECTIONS: Final = np.array([effect.calibration_direction for effect in _OWN])
 #: relative change of (left radius, right radius, track) -> size of each, shape (3, 3)
 OF_WHEELS: Final = np.linalg.inv(DIRECTIONS[:, :3].T)
+#: typical size of each, shape (3,)
 TYPICAL: Final = np.array([effect.parameter.typical for effect in _OWN])
 HIDES_IN: Final = {effect.id: effect.hides_in for effect in _OWN}
 

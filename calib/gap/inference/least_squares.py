@@ -345,7 +345,7 @@ class HeldOutFit:
 
     @cached_property
     def all_estimates(self) -> FloatArray:
-        """Shape (p,)."""
+        """Estimates on all runs, shape (p,)."""
         return self.weighting.solve(self.columns, self.precision)[0]
 
     @cached_property
