@@ -1,7 +1,4 @@
-"""A blind check of the diagnosis: sealed cases, a runner that never opens the truth, a score.
-
-Here a sealed set from a seeds file: campaigns, and all truths apart in a file whose hash is stored.
-"""
+"""A blind check of the diagnosis: sealed cases, a runner that never opens the truth, a score."""
 
 import json
 import os
@@ -16,7 +13,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 
 from calib.campaign import write_campaign
 from calib.campaign.settings_file import load_toml
-from calib.challenge.cases import Recipe, Truth, campaigns_of, truth_of
+from calib.challenge.cases import UNSIGNED, Recipe, Truth, campaigns_of, truth_of
 from calib.documents import plain, to_json
 from calib.errors import CASES, BadFileError, RefusedError, refuse_beyond, refuse_workers
 from calib.fleet.workers import engine
@@ -32,7 +29,6 @@ SIGNALS: Final = (3.0, 5.0, 10.0, 25.0)
 _FORMAT: Final = "calib-challenge-seeds/1"
 _EXPECTED: Final = f"a whole number as seed, max_runs of 20 or more, and in [cases] counts of {', '.join(GROUPS)}"
 _REMEDY: Final = "see calib challenge make --help and the manual's page on challenges"
-_GROSS: Final = ("encoder_gross", "integration_scheme")
 
 _OUTSIDE: Final = [form.effect for form in ALL if form.effect.startswith("outside:")]
 #: for pairs: effects that leave different things behind
@@ -81,14 +77,14 @@ def read_seeds(path: Path) -> Seeds:
 
 
 def _library() -> list[str]:
-    known = (form.effect for form in ALL if form.effect not in (*CALIBRATION, *_GROSS))
+    known = (form.effect for form in ALL if form.effect not in (*CALIBRATION, *UNSIGNED))
     names = dict.fromkeys(name for name in known if not name.startswith("outside:"))
     covariates = [name for name in names if name.startswith("covariate:")]
     return [name for name in names if name not in covariates[1:]]
 
 
 def _singles(count: int, rng: np.random.Generator) -> list[tuple[str, float]]:
-    faults = [(f"{form.effect}/{form.form}", float("nan")) for name in _GROSS for form in forms_of(name)]
+    faults = [(f"{form.effect}/{form.form}", float("nan")) for name in UNSIGNED for form in forms_of(name)]
     strong: list[tuple[str, float]] = []
     for turn, signal in enumerate((*SIGNALS, 10.0, 25.0)):
         for place, name in enumerate(_library()):
@@ -145,8 +141,7 @@ def recipes(seeds: Seeds, limit: int | None = None) -> list[Recipe]:
     for number, group in enumerate(GROUPS):
         listed += _of_group(group, seeds.cases.get(group, 0), np.random.default_rng([seeds.seed, number]))
     order = np.random.default_rng([seeds.seed, 999]).permutation(len(listed))
-    kept = order if limit is None else order[:limit]
-    return [replace(listed[int(n)], case=f"c{place + 1:04d}", number=int(n)) for place, n in enumerate(kept)]
+    return [replace(listed[int(n)], case=f"c{place + 1:04d}", number=int(n)) for place, n in enumerate(order[:limit])]
 
 
 PUBLIC: Final = "challenge.json"
@@ -154,7 +149,6 @@ HASH: Final = "truth.sha256"
 _PUBLIC_FORMAT: Final = "calib-challenge/1"
 TRUTH_FORMAT: Final = "calib-challenge-truth/1"
 
-#: a batch has one case
 WEIGHT: Final = 64
 
 T = TypeVar("T")

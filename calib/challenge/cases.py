@@ -1,7 +1,6 @@
 """A case from its recipe: its truth, then its campaigns.
 
-No rule gets a larger share of cases right than the mean of the largest posterior probability, computed exactly from
-whitened signatures: the ceiling.
+No rule gets a larger share right than the mean of the largest posterior probability: the ceiling.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,7 +18,7 @@ from calib.plant.make import as_causes, make_campaigns, random_model
 from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
 from calib.types import FloatArray, grouped
 
-_UNSIGNED: Final = ("encoder_gross", "integration_scheme")
+UNSIGNED: Final = ("encoder_gross", "integration_scheme")
 #: only positive sizes have a meaning
 ONE_SIGN: Final = (
     "lost_counts", "beam_misalignment", "floor_undulation", "path_weave", "load_creep", "wear", "reference_latency",
@@ -34,7 +33,7 @@ class Recipe:
     """One case to make."""
 
     case: str
-    number: int  #: place in the unshuffled list; with the seed it determines all that is drawn
+    number: int  #: in the unshuffled list; with the seed it determines all that is drawn
     group: str
     effects: tuple[str, ...] = ()  #: ``effect`` or ``effect/form``; empty is none
     targets: tuple[float, ...] = ()  #: wanted signal of each; NaN is the typical size
@@ -69,7 +68,7 @@ class Truth:
     beside: tuple[float | None, ...]
     #: other effects, nearest first, and their distance from the cause in standard deviations
     rivals: tuple[tuple[str, float], ...]
-    noise: Noise  #: noise and model are those of the case
+    noise: Noise
     model: OdometryModel
     n_runs: int
     #: see `Ceiling`: of all effects at this signal; of this one here, None where a recalibration absorbs it
@@ -125,11 +124,11 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
     model = random_model(design, rng)
     causes = []
     for cause in as_causes(dict.fromkeys(recipe.effects, np.nan), design, rng):
-        sign = 1.0 if cause.effect in (*_UNSIGNED, *ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
+        sign = 1.0 if cause.effect in (*UNSIGNED, *ONE_SIGN) else float(rng.choice([-1.0, 1.0]))
         causes.append(replace(cause, size=sign * cause.size))
     signals: tuple[float | None, ...] = (None,) * len(causes)
     beside, near, best, own = signals, tuple[tuple[str, float], ...](), None, None
-    if causes and not any(cause.effect in _UNSIGNED for cause in causes):
+    if causes and not any(cause.effect in UNSIGNED for cause in causes):
         causes, noise, shown = to_signal(design, model, noise, causes, recipe.targets)
         signals, beside = tuple(round(v, 3) for v in shown.alone), tuple(round(v, 3) for v in shown.beside)
         if len(causes) == 1 and not causes[0].effect.startswith("outside:") and recipe.group != "natural":

@@ -61,7 +61,7 @@ def own_noise(observations: Observations, left: FloatArray, covariance: FloatArr
     return OwnNoise(whitened, root, group, size > 1)
 
 
-#: the sensor reversed once it came back by this, and by so many standard deviations of its noise
+#: by which, and so many standard deviations of its noise, a sensor comes back once it reversed
 TURNED_RAD: Final = 2e-3
 TURNED_STD: Final = 6.0
 
@@ -155,8 +155,8 @@ class Replay:
 
     observations: Observations
     design: Design  #: what was driven, as the plant's forms ask for it
-    #: the logged steps of every unit, filled with zeros, shape (n_steps_most, n_units): by the names of `Moment` its
-    #: motion, smoothed; rotation of the wheels, duration and end of each step; way and angle of a driven front wheel
+    #: logged steps of every unit, filled with zeros, shape (n_steps_most, n_units): motion as in `Moment`, smoothed;
+    #: rotation of the wheels, duration and end of each step; way and angle of a driven front wheel
     steps: Mapping[str, FloatArray]
     last: IntArray  #: shape (n_units,): last step of each unit
 

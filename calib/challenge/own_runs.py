@@ -26,7 +26,6 @@ from calib.plant.effects import forms_of
 from calib.plant.signal import CALIBRATION, strength
 from calib.types import FloatArray, Progress, grouped, silent
 
-#: what logged counts cannot be made to show
 NOT_PLANTED: Final = {
     "encoder_gross": "a blunder is found before the search, by trial",
     "integration_scheme": "it is in the simulator, not in the vehicle",
@@ -204,7 +203,7 @@ class Own:
 
     campaign: str
     simulated: bool  #: whether its data were made by a program
-    own_verdict: str  #: of the campaign as it is
+    own_verdict: str
     #: runs, units of the diagnosis, and those whose noise repeats give
     runs: int
     units: int
@@ -212,7 +211,6 @@ class Own:
     found: tuple[Plant, ...]
     empty: tuple[Answer, ...]  #: on campaigns with nothing planted
     left_out: Mapping[str, str]
-    #: diagnoses, and those in time
     asked: int
     done: int
     seed: int
@@ -262,7 +260,6 @@ class Own:
 SIZES: Final = parse_sizes("5s,10s,25s")
 #: empty campaigns for each round of plants
 EMPTY_EACH: Final = 4
-#: what is planted, or nothing, and which time it is
 _Job = tuple[Plant | None, int]
 
 
@@ -281,22 +278,18 @@ def challenge_own(
 
     Parameters
     ----------
-    campaign : Campaign
+    campaign
         Runs with logs.
-    effects : sequence of str
+    effects
         Also outside causes; empty: all that the campaign can show.
-    sizes : sequence of Size
-        How large each is planted.
-    planted : int
-        How often each at each size.
-    workers : int
+    sizes, planted
+        How large each is planted, and how often.
+    workers
         Processes of this machine.
-    seconds : float
+    seconds
         Then no further diagnosis begins.
-    seed : int
-        Of all that is drawn.
-    progress : Progress
-        Told the diagnoses done.
+    seed, progress
+        Of all that is drawn; told the diagnoses done.
     """
     began = time.monotonic()
     diagnosis = diagnose_in_full(campaign, seed=seed, plan=False)
@@ -313,7 +306,7 @@ def challenge_own(
         jobs += [(None, turn * EMPTY_EACH + number) for number in range(EMPTY_EACH)]
         jobs += [(plant, turn) for plant in plants]
     progress(0, len(jobs), "diagnoses")
-    # logs are in the observations; without them a campaign is quick to hand over
+    # without logs, which the observations hold, a campaign is quick to hand over
     light = replace(campaign.included(), logs=Logs.empty(len(campaign.included().runs)))
     noise = own_noise(observations, diagnosis.fitted.left, diagnosis.noise.covariance)
     simulated = observations.simulated

@@ -24,12 +24,11 @@ from calib.gap.predict import predict, residuals
 from calib.io import inside, write_json
 from calib.types import Progress, silent
 
-#: see `achieved`
 Achieved = dict[str, float | None]
 
 
 def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
-    """Return the gap of a fresh campaign of the same truth under the model alone and under the fix, not refitted.
+    """Return the gap of a fresh campaign under the model alone and under the fix, not refitted.
 
     ``before_rms_m``, ``after_rms_m`` are of the end position (else of the distance), those ``over_floor`` of all
     channels over their noise, ``fraction`` of whitened squares. None where the verdict names no cause, or a form of its
@@ -59,7 +58,7 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
     }
 
 
-#: campaign, seed, effects to leave out, fresh campaign -> verdict, and what its fix achieves there
+#: campaign, seed, effects to exclude, fresh campaign -> verdict, what its fix achieves there
 Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[Mapping[str, Any], Achieved | None]]
 
 
@@ -105,7 +104,7 @@ def run(
     diagnoser: Diagnoser | None = None,
     progress: Progress = silent,
 ) -> Ran:
-    """Diagnose the cases of a set that have no verdict yet, of the first `limit`; see `calib.challenge.make`.
+    """Diagnose the first `limit` cases of a set that have no verdict yet; see `calib.challenge.make`.
 
     A `diagnoser` of one's own runs in this process.
     """

@@ -100,7 +100,7 @@ TARGETS: Final[dict[str, tuple[float, str]]] = {
 class Score:
     """The score."""
 
-    purpose: str  #: of the seeds: ``development``, ``scoring``, ``ci``
+    purpose: str
     truth_sha256: str
     board: Mapping[str, Share]
     by_signal: Mapping[str, Mapping[str, Share]]  #: target signal -> ``first``, ``in_group``, ``covered``, ``detected``
@@ -118,7 +118,7 @@ class Score:
 
     @staticmethod
     def target(line: str) -> tuple[float, str] | None:
-        """Return what a line of the board must reach, and whether ``at least`` or ``at most``; None for most."""
+        """Return the line's target of `TARGETS`; None for most."""
         return TARGETS.get(line)
 
     def meets(self, line: str) -> bool | None:

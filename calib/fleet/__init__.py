@@ -1,7 +1,4 @@
-"""Many vehicles: one task a vehicle and file, sums that add, and the fleet's view.
-
-Here what they show together: spread of their quantities, outliers, labels that differ, shared findings.
-"""
+"""Many vehicles: one task a vehicle and file, sums that add, and the fleet's view."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,7 +13,7 @@ from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats, grouped
 
 COVERAGE: Final = 0.95
-#: share of named vehicles that may be wrong (Benjamini and Hochberg): each costs a visit
+#: of named vehicles that may be wrong (Benjamini and Hochberg): each costs a visit
 FALSE_SHARE: Final = 0.01
 #: chance that any of a short list is wrong (Holm)
 FALSE_CHANCE: Final = 0.01
@@ -79,10 +76,7 @@ def _root(falling: Callable[[float], float], high: float) -> float:
 
 
 def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value by Student's t.
-
-    Median and median deviation find those that may stand apart; mean and spread of the others, better known, judge all.
-    """
+    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value by Student's t."""
     away = np.abs(values - np.median(values))
     variance = std**2 + SMALLEST_VARIANCE
 
@@ -128,7 +122,7 @@ def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatA
     # a vehicle's two wheels share its sessions: half as many are independent
     excess, prior = float(squares.mean() + 2.0 * squares.std() / np.sqrt(0.5 * n)), 0.5 * float(half.sum())
     if excess > 0.0:
-        # where 1 / x + 1 / (2 x^2), just below the trigamma function, is the excess
+        # trigamma is just above 1 / x + 1 / (2 x^2)
         prior = min(prior, (1.0 + np.sqrt(1.0 + 2.0 * excess)) / (2.0 * excess))
     usual = np.exp(log.mean() + digamma(prior) - np.log(prior))
     return np.maximum((prior * usual + half * variance) / (prior + half), variance), 2.0 * (prior + half)
@@ -184,7 +178,6 @@ class VehicleResult:
         return "failed" if self.why else "done"
 
 
-#: column of ``vehicles.csv`` -> vehicle -> label
 Labels = Mapping[str, Mapping[str, str]]
 
 
@@ -279,7 +272,7 @@ def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, st
 
 
 def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> list[tuple[LabelDifference, BoolArray]]:
-    # the clearest first, then what stands without it: beside a label that is off all others are off the other way
+    # the clearest first: beside a label that is off all others are off the other way
     left, having, kept = {name: column.copy() for name, column in values.items()}, [*_labelled(vehicles, labels)], []
     for _ in range(len(having) * len(left)):
         candidates = []

@@ -60,7 +60,7 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
 
 
 def campaign_of(part: Part, known: dict[Path, Campaign], *, lenient: bool = False) -> Campaign:
-    """Return the campaign of a file of journeys; a dataset's tables have no logs; `known`: settings read before."""
+    """Return the campaign of a file of journeys, without logs of a dataset's; `known`: settings read."""
     if part.whole:
         return read_campaign(part.settings, lenient=lenient)
     if part.settings not in known:

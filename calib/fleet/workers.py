@@ -76,7 +76,6 @@ def batches(
 class Engine:
     """Runs tasks in this process."""
 
-    #: least and most pieces of work in a batch
     batch: tuple[int, int] = SERIAL_BATCH
     #: batches submitted at once
     most_submitted: int = 1

@@ -1,7 +1,6 @@
-"""From counts and radii to poses: odometry, routes, closed-loop simulation.
+"""From counts and radii to poses: here odometry over arrays of runs, in numpy or machine code (numba, extra `fast`).
 
-Here odometry over arrays of runs, by array operations or in machine code (numba, extra `fast`), where headings count
-from the first of a few steps, so that a short series gives sine and cosine.
+Headings count from the first of a few steps, so that a short series gives sine and cosine.
 """
 
 import math
@@ -21,7 +20,6 @@ from calib.types import FloatArray, IntArray, floats
 #: scheme -> share of a step's turn by which the heading used lies behind that at its end
 HEADING_BEHIND: Final = {"exact": 0.5, "mid_point": 0.5, "euler": 1.0, "end_point": 0.0}
 
-#: ``end_point`` is Eq. 7 as printed
 SCHEMES: Final = tuple(HEADING_BEHIND)
 
 #: steps worth machine code
@@ -117,7 +115,6 @@ def _running(steps: FloatArray, begins: IntArray, start: FloatArray, out: FloatA
     np.cumsum(steps, out=out)
 
 
-#: steps at a time
 _COUNT: Final = 64
 
 #: sum of these steps' half turns up to which the series do

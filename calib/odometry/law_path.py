@@ -1,7 +1,4 @@
-"""Journeys under a fitted law, with the radius of one load and with that of the load carried.
-
-Its uncertainty is carried to each point by linear propagation, to the end pose of one load by Monte Carlo too.
-"""
+"""Journeys under a fitted law, with the radius of one load and with that of the load carried."""
 
 import math
 from dataclasses import dataclass, field, replace
@@ -35,7 +32,7 @@ class AxleLaw:
     track_std_m: float = 0.0
     walk: RandomWalk | None = None  #: random part of the error; None: none
     vehicle: Vehicle = field(default_factory=Vehicle)
-    notes: tuple[str, ...] = ()  #: what the user should know about the source
+    notes: tuple[str, ...] = ()
     simulated: bool = False  #: whether a program made the data of the law
 
 
@@ -55,7 +52,7 @@ def law_source(path: Path, track_m: float | None = None) -> AxleLaw:
 
 
 def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
-    """Return the vehicle of a campaign, fit or coefficient file (None: the nominal one), with changes."""
+    """Return the vehicle of a campaign, fit or coefficient file (None: nominal), with changes."""
     vehicle = Vehicle()
     if source is not None:
         if (source / "campaign.toml").is_file():
@@ -257,7 +254,7 @@ def _from_start(values: FloatArray) -> FloatArray:
 class Interval:
     """95 % interval of one component of the end error."""
 
-    value: float  #: with the law's mean radii
+    value: float
     linear: tuple[float, float]  #: by linear propagation with Student's t
     monte_carlo: tuple[float, float]  #: 2.5 and 97.5 % quantiles of the draws
 
@@ -272,7 +269,6 @@ class Interval:
 class Journey:
     """End errors of one journey without and with the correction."""
 
-    #: wheel loads carried
     load_left_N: float
     load_right_N: float
     #: wheel loads whose radii the uncorrected odometry uses
@@ -365,8 +361,8 @@ def law_journey(
 def _scatter(
     law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
 ) -> tuple[FloatArray, IntArray, FloatArray, list[float], FloatArray]:
-    # root (3, k) of the covariance of radii and track, each column's scale, drawn scales, dof, errors: a wheel has a
-    # scale of its own, what was fitted together has one, and a stated track is as certain as stated
+    # root (3, k) of the covariance of radii and track, each column's scale (one a wheel, or one fitted together), drawn
+    # scales, dof, errors
     dof = [
         float(w.dof_of(w.contrast(load), single_run=single))
         for w, load in zip((law.left, law.right), loads_N, strict=True)

@@ -15,7 +15,6 @@ from calib.io import write_text
 from calib.radius.law import JOINT
 from calib.types import WAY_PER_RAD_M, FloatArray, floats
 
-#: what a pose is made of
 POSE: Final = ("x_m", "y_m", "theta_rad")
 #: components of an error: along and left of the path, of the heading, and in the global frame
 COMPONENTS: Final = ("along_m", "lateral_m", "heading_rad", "global_x_m", "global_y_m")
@@ -145,7 +144,6 @@ class PathSteps:
     #: shape (..., n): travel of the wheels in each step
     left_m: FloatArray
     right_m: FloatArray
-    #: radii and track in each step
     radius_left_m: FloatArray
     radius_right_m: FloatArray
     track_m: FloatArray
@@ -216,7 +214,6 @@ class RandomWalk:
     sigma_along_m_per_sqrt_m: float = 0.0
     sigma_heading_rad_per_sqrt_m: float = 0.0
     count_std: float = 0.0  #: standard uncertainty of one encoder reading in counts
-    #: counts a revolution
     counts_per_rev_left: float = 4096.0
     counts_per_rev_right: float = 4096.0
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-#: with what the simulator believes; with the law's radii, unladen; at the load of each run, or step (Fig. 7)
+#: as the simulator believes; with the law's radii, unladen; at the load of each run, or step (Fig. 7)
 METHODS = ("model", "constant", "corrected")
 
 #: ends so many standard deviations off are no chance, not even of what all runs share: fewest runs, and least share
@@ -42,7 +42,7 @@ class Replay(Result):
     """End poses of logged runs by each odometry of `METHODS`, against the reference."""
 
     campaign: str
-    simulated: bool  #: whether a program made its data
+    simulated: bool
     #: shape (n,): runs with a log and a reference end pose
     run_id: StrArray
     kind: StrArray
@@ -62,9 +62,9 @@ class Replay(Result):
     ratio_ci95: tuple[float, float]
     runtime: "RuntimeCheck"  #: the vehicle's own code on the same logs
     left_out: dict[str, int]  #: runs that could not be compared, by reason
-    #: whether a front wheel or four wheels drive the odometry: ``constant`` is ``corrected``, the runtime not fed
+    #: whether other than rear wheels drive the odometry: ``constant`` is ``corrected``, the runtime not fed
     by_geometry: bool = False
-    notes: tuple[str, ...] = ()  #: what had to be assumed
+    notes: tuple[str, ...] = ()
 
     @property
     def table(self) -> "DataFrame":

@@ -38,7 +38,7 @@ def straight(length_m: float) -> Segment:
 
 
 def arc(radius_m: float, turn_rad: float) -> Segment:
-    """Return an arc of a radius in m; a positive turn goes left; radius 0 turns on the spot."""
+    """Return an arc of a radius in m; a positive turn goes left; radius 0: on the spot."""
     return (radius_m * abs(turn_rad), turn_rad)
 
 
@@ -104,7 +104,6 @@ def _square(side_m: float, turn_rad: float) -> tuple[Segment, ...]:
 
 QUARTER: Final = math.pi / 2
 
-#: a new route is one line here
 NAMED: Final[Mapping[str, tuple[Segment, ...]]] = {
     "corridor": (straight(40.0),),
     "straight15": (straight(15.0),),
@@ -116,7 +115,7 @@ NAMED: Final[Mapping[str, tuple[Segment, ...]]] = {
 
 
 def find_route(name: str) -> Route:
-    """Return a route by its name, from a TOML file, or from a recorded trajectory (``.tum``)."""
+    """Return a route by its name, from a TOML file, or from a trajectory (``.tum``)."""
     if name in NAMED:
         return Route.from_segments(name, *NAMED[name])
     if name.endswith(".toml"):
@@ -256,7 +255,7 @@ def radii_under_load(law: RadiusLaw, load_left_N: ArrayLike, load_right_N: Array
 def radii_of_model(
     model: OdometryModel, load_left_N: ArrayLike, load_right_N: ArrayLike, *, by_shaft: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the radii that a simulator uses for loads of any shape, in m: its own slopes about its reference load.
+    """Return the radii that a simulator uses for loads of any shape, in m.
 
     `by_shaft`: one counter on the drive shaft tells the mean of both wheels, which grow by their mean share.
     """
@@ -341,7 +340,7 @@ class Loading:
 
 
 def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float) -> tuple[float, float]:
-    """Return the wheel loads (left, right) under a payload; refused where the vehicle cannot carry it."""
+    """Return the wheel loads (left, right) under a payload; refused where it is too much."""
     if payload_kg < 0.0:
         raise BadInputError(f"payload: found {payload_kg:g} kg; expected a mass from 0 kg; correct it")
     front, left_N, right_N = wheel_loads_N(vehicle, payload_kg, x_m, y_m)

@@ -106,7 +106,7 @@ class Case:
 class Sweep:
     """Vehicles with different radii on one route."""
 
-    route: Route  #: the route, undivided
+    route: Route
     track_m: float
     cases: tuple[Case, ...]
     distance_m: FloatArray  #: shape (n_points,): distance along the route at each point
@@ -153,7 +153,6 @@ def run_sweep(
 PAPER_BEFORE_M: Final = 1.1
 PAPER_AFTER_M: Final = 0.06
 
-#: as the paper states it
 PAPER_TRACK_M: Final = 0.7
 
 
@@ -168,7 +167,7 @@ class Improvement:
 
 @dataclass(frozen=True, slots=True)
 class Headline:
-    """End error without and with the correction, each the largest case of its sweep, and their ratio."""
+    """End error without and with the correction, each its sweep's largest, and their ratio."""
 
     which: str
     #: largest global e_x by absolute value
@@ -178,7 +177,7 @@ class Headline:
 
 
 def headlines(route: Route, track_m: float) -> tuple[Headline, ...]:
-    """Set the study of corrected radii against that of uncorrected ones, on the same route, wheel by wheel."""
+    """Set the study of corrected radii against that of uncorrected ones, wheel by wheel."""
     lines = []
     for which in STUDIES["asymmetric"].which:
         sweeps = ([Case.off(which, ratio) for ratio in STUDIES[study].ratios] for study in ("asymmetric", "corrected"))
@@ -242,7 +241,7 @@ class LawPart:
     table: tuple[TableRow, ...]  #: table 1 and the bands of Fig. 15
     journeys: tuple[Journey, ...]  #: without and with correction, for each pair of loads and each band
     path: LawPath  #: along the last route, under the loads that change on the way, or else the first pair
-    notes: tuple[str, ...]  #: what the reader should know
+    notes: tuple[str, ...]
     simulated: bool  #: whether a program made the data of the law
 
 
@@ -260,7 +259,7 @@ class LawJourneys:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Simulation(Result):
-    """A simulation: `sweeps` by the name of their figure, `headlines` by wheel, the law's part where one is given."""
+    """A simulation: `sweeps` by their figure, `headlines` by wheel, the law's part where one is given."""
 
     study: str
     title: str
@@ -281,7 +280,7 @@ class Simulation(Result):
         return DataFrame([{"figure": name, **row} for name, sweep in self.sweeps.items() for row in sweep.ends()])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the simulation as plain values, as ``calib simulate --json``, without points along the routes."""
+        """Return plain values, as ``calib simulate --json``, without points along the routes."""
         return {
             "study": self.study,
             "title": self.title,

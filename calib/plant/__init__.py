@@ -121,7 +121,7 @@ def random_noise(rng: np.random.Generator, **fixed: Any) -> Noise:
 class Moment:
     """All runs at one time step; effects add to `left` to `drive`."""
 
-    t_s: float  #: time since the start
+    t_s: float
     #: shape (n_runs,): true motion of the rear axle's middle
     v_mps: FloatArray
     acceleration_mps2: FloatArray
@@ -275,7 +275,6 @@ Knobs = Mapping[str, float]
 
 #: changes the world; a size a run, 0 where the effect is absent
 Act = Callable[[World, FloatArray, Knobs], None]
-#: draws a form's further choices
 Draw = Callable[[np.random.Generator, Design], dict[str, float]]
 
 
@@ -313,7 +312,7 @@ def while_driving(act: Callable[[Moment, World, FloatArray, Knobs], None]) -> Ac
 
 
 def rolling(share: Callable[[Moment], FloatArray]) -> Act:
-    """Return an act that makes both wheels roll more while driving: a share for each unit of its size."""
+    """Return an act that makes both wheels roll more while driving: a share per unit of size."""
     return while_driving(lambda now, _world, size, _knobs: now.roll_more(size * share(now)))
 
 
@@ -328,7 +327,7 @@ class Form:
     act: Act
     #: what a design must have; see `calib.plant.signal.lacks`
     words: str = ""
-    knobs: Draw = _NO_KNOBS  #: further choices, once a case
+    knobs: Draw = _NO_KNOBS
 
     @property
     def needs(self) -> frozenset[str]:
@@ -343,7 +342,7 @@ class Cause:
     effect: str
     size: float
     form: str = "plain"
-    knobs: Knobs = field(default_factory=dict)  #: what else was drawn
+    knobs: Knobs = field(default_factory=dict)
 
 
 Causes = Sequence[Cause]

@@ -168,7 +168,6 @@ def conditions(design: Design) -> IntArray:
     return np.unique(np.array(rows), return_inverse=True)[1].astype(np.int64)
 
 
-#: further columns of a run table
 COLUMNS = ("humidity_pct", "battery_V", "floor_gloss_GU")
 
 DESIGNS: Final = ("load_a_session", "corridor_only", "squares_one_load", "few_repeats")
@@ -223,8 +222,7 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str]) -> lis
     speeds = sorted(rng.choice(quick, 3, replace=False).tolist())
 
     def deal(values: list[Any]) -> list[Any]:
-        dealt = [values[number % len(values)] for number in range(n_conditions)]
-        return [dealt[number] for number in rng.permutation(n_conditions)]
+        return [values[number % len(values)] for number in rng.permutation(n_conditions)]
 
     half = n_conditions // 2
     route = ["corridor"] * half + [_TURNING[number % len(_TURNING)] for number in range(n_conditions - half)]

@@ -135,7 +135,7 @@ class _Runs:
         self.per_rad = design.counts_per_rev / (2 * np.pi)
         self.textured = bool(noise.texture_m.any())
         self.rng = np.random.default_rng(noise.seed)
-        self.grain = np.zeros((_BLOCK, 3, n_runs))  # of the floor, for some steps
+        self.grain = np.zeros((_BLOCK, 3, n_runs))
         self.stop_m = _stops(world, self.tables)
         self.pointer = np.zeros(n_runs, dtype=np.int64)
         self.target_m = self.stop_m[0]
@@ -144,8 +144,8 @@ class _Runs:
         self.preview = ((design.speed_mps * (_STEER_LAG_S + 0.1)) / PITCH_M).astype(np.int64)
         self.now = Moment.at_rest(n_runs)
         self.speed, self.steering, self.progress_m, self.pause_s = (np.zeros(n_runs) for _ in range(4))
-        self.angle = np.zeros((3, n_runs))  # left, right, front as the counters see it
-        self.odo = np.zeros((4, n_runs))  # x, y, theta, path length
+        self.angle = np.zeros((3, n_runs))
+        self.odo = np.zeros((4, n_runs))
         self.fly_m = np.where(design.flying, self.tables.end_m, np.inf)
         # progress along the plan a metre of odometry: its cosine, over what a bend shortens
         self.ahead, self.bend = np.ones(n_runs), np.ones(n_runs)

@@ -162,7 +162,7 @@ def make_campaigns(
     model: OdometryModel | None = None,
     names: Sequence[str] = ("campaign",),
 ) -> tuple[Campaign, ...]:
-    """Drive a design as often as there are names, each time with other noise; see `make_campaign`."""
+    """Drive a design as often as there are names, with other noise each; see `make_campaign`."""
     noise = noise or random_noise(rng)
     model = model or random_model(design, rng)
     causes = as_causes(truth, design, rng)
@@ -210,8 +210,7 @@ class FleetTruth:
     radius_spread_m: float = 6e-5
     slope_mean_m_per_N: float = -1.2e-6
     slope_spread_m_per_N: float = 6e-8
-    #: vehicles with a radius or slope of its own, with a drifting radius, and of hall B, where the right wheel's radius
-    #: seems larger
+    #: vehicles off in a radius or slope, with a drifting radius, and of hall B, where the right radius seems larger
     outliers: tuple[str, ...]
     drifting: tuple[str, ...]
     common: tuple[str, ...]

@@ -22,7 +22,7 @@ CALIBRATION: Final = ("radius_scale", "unequal_radii", "track_width")
 #: these act with the square of their size
 _SQUARED: Final = ("beam_misalignment", "path_weave")
 _ABSORBED = 1e-2  # share of a change's norm below which the recalibration absorbs it
-_LARGEST, _SMALLEST = 3.0, 0.05  # of the typical size
+_LARGEST, _SMALLEST = 3.0, 0.05
 
 
 def is_calibration(cause: Cause) -> bool:
@@ -95,8 +95,7 @@ def covariance(world: World, noise: Noise, record: Record) -> FloatArray:
         total += run[:, :, None] * run[:, None, :]
     instruments = (one * sigma**2 for sigma in (noise.laser_m, noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad))
     counted = (noise.texture_m**2 * length + 1e-8, (noise.reading_rad / wheelbase) ** 2 * length * spacing + 1e-8)
-    alone = np.stack([*instruments, *counted], axis=1)
-    return np.asarray(total + alone[:, :, None] * np.eye(6))
+    return np.asarray(total + np.stack([*instruments, *counted], axis=1)[:, :, None] * np.eye(6))
 
 
 def recalibration(world: World, record: Record) -> FloatArray:
@@ -146,7 +145,7 @@ class Strength:
 def strengths(
     design: Design, model: OdometryModel, noise: Noise, causes: Causes, *, step_s: float = 0.02, weigh: bool = True
 ) -> Strength:
-    """Drive without noise, without any cause and with each; see `Strength`; `weigh`: fill `alone` and `beside`."""
+    """Drive without noise, without and with each cause; see `Strength`; `weigh`: fill `alone` and `beside`."""
     n_runs, n_causes = len(design), len(causes)
     if design.log_period_s and not design.front:
         design = replace(design, log_period_s=0.24)
@@ -297,7 +296,7 @@ def alternatives(design: Design, model: OdometryModel, noise: Noise, cause: Caus
 
 
 def rivals(among: Alternatives) -> list[tuple[str, float]]:
-    """Return the other effects, nearest first, each with the norm of what its best form cannot imitate of the cause."""
+    """Return the other effects, nearest first, each with the norm of what it cannot imitate of the cause."""
     driven = among.driven
     nearest: dict[str, float] = {}
     base = [] if is_calibration(among.cause) else [driven.absorbed]

@@ -24,9 +24,9 @@ MAX_INFLUENCE_SESSIONS: Final = 100
 #: loads of sessions tried as misreported; largest share of the squares that the others then leave
 MAX_CELLS: Final = 200
 MOST_OF_SQUARES: Final = 0.1
-#: runs tried as outliers that hide each other, of a fifth of all at most: Rosner's approximation was tried for ten
+#: runs tried as outliers, of a fifth of all at most: Rosner's approximation was tried for ten
 MOST_OUTLIERS: Final = 10
-#: share of the direction's squares that the load leaves: below, a variance inflation above ten (Kutner et al., 10.5)
+#: of the direction's squares, that the load leaves: below, a variance inflation above ten (Kutner et al., 10.5)
 ALIASED, ROUNDING = 0.1, 1e-9
 #: share of the load range by which the reference load may lie outside it
 REFERENCE_MARGIN: Final = 0.02
@@ -72,7 +72,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
         sentence = "With two loads any law runs through both: straightness cannot be tested; add a third load between."
         return Check("lack_of_fit", NOTE, sentence)
     if runs.fit.design == "confounded":
-        return None  # sessions and loads are one: see the check of sessions
+        return None
     y = runs.fit.residual_m * UM
     line = runs.fit.fitted(runs.session)
     reduced, rank_reduced = _squares(line, y)

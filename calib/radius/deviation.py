@@ -19,7 +19,6 @@ from calib.vehicle import Vehicle
 
 #: halvings, to rounding
 BISECTIONS: Final = 60
-#: of the table without a campaign
 PAPER_DISTANCE_M: Final = 40.0
 
 
@@ -45,7 +44,6 @@ def weave_excess(
     slope = k * amplitude
     u = slope**2
     end = k * distance + phase
-    # by Legendre's incomplete integral of the second kind
     length = np.sqrt(1 + u) * (ellipeinc(end, u / (1 + u)) - ellipeinc(phase, u / (1 + u))) / k
     yaw = np.arctan(slope * np.cos(end)) - np.arctan(slope * np.cos(phase))
     return PathExcess.of(length / distance - 1, yaw, distance, track_m)
@@ -90,7 +88,7 @@ def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatA
     """
     error = floats(tolerance)
     wavelength, target = np.broadcast_arrays(wavelength_m, error / (1 - error))
-    # the excess is at least that of the straight lines between the turning points, and of small amplitudes near 0
+    # the excess is at least that of straight lines between the turning points
     bracket = wavelength / (2 * np.pi) * (4 * np.sqrt(target) + np.pi * target)
     return _largest(lambda amplitude_m: whole_period_excess(amplitude_m, wavelength), target, bracket)
 
@@ -109,8 +107,7 @@ def deviation_rows(
 ) -> list[dict[str, float]]:
     """Return the table of Fig. 9: a mapping for each pair of amplitude (n,) and wavelength (m,), from phase 0.
 
-    It holds relative excesses over whole periods and `distance_m`, errors of radii, and the amplitude that keeps a
-    radius within a relative `tolerance`; see `weave_excess`. Raises BadInputError where a length is not positive.
+    `tolerance`: relative, of a radius; see `weave_excess`. Raises BadInputError where a length is not positive.
     """
     lengths = {"amplitude": amplitudes_m, "wavelength": wavelengths_m, "distance": distance_m, "track": track_m}
     for name, given in lengths.items():
@@ -144,7 +141,7 @@ def deviation_rows(
 
 
 def table_setting(campaign: Campaign | None, distance_m: float | None, track_m: float | None) -> tuple[float, float]:
-    """Return distance and track of the table: as given, else the campaign's (median distance), else the paper's."""
+    """Return distance and track of the table: as given, else the campaign's (median distance) or the paper's."""
     if distance_m is None:
         known = np.array([]) if campaign is None else campaign.runs.number("distance_m")
         known = np.abs(known[np.isfinite(known)])
@@ -197,7 +194,6 @@ class RunDeviations:
     tolerance: float
     #: what is known of each run, by its name; see `judge_runs`; shape (n_runs,), NaN where unknown
     columns: Mapping[str, npt.NDArray[Any]]
-    #: not judged
     left_out: tuple[UnusedRun, ...]
     notes: tuple[str, ...]
 
@@ -290,7 +286,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         "excess_left": path.left + unknown_nan,
         "excess_right": path.right + unknown_nan,
         "small_amplitude": small,
-        # relative error of the radii if the path were not corrected, and the same in m on the nominal radius
+        # of the radii if the path were not corrected, relative and in m
         "error_left": left + unknown_nan,
         "error_right": right + unknown_nan,
         "error_left_m": left * vehicle.wheel_radius_m + unknown_nan,
@@ -307,7 +303,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
 
 def _bow_note(blind: BoolArray, distance_m: FloatArray, tolerance: float, vehicle: Vehicle) -> Iterator[str]:
     if blind.any():
-        # a bow turns the vehicle by 8 bows over the distance, and each wheel's path is half a track's turn off
+        # a bow turns the vehicle by 8 bows over the distance
         bow_m = tolerance * float(np.median(distance_m[blind])) ** 2 / (4.0 * vehicle.track_m)
         yield (
             f"A steady bow of {blind.sum()} of {len(blind)} runs is not seen: nothing tells it from unequal radii. One "

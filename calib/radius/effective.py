@@ -44,7 +44,6 @@ class Component:
     #: GUM: ``A`` from repeats, ``B`` from other knowledge
     kind: str
     distribution: str
-    #: in words, with its standard uncertainty
     what: str
     #: contribution to the standard uncertainty of a typical (root mean square) run's radius
     std_left_m: float
@@ -63,8 +62,7 @@ class EffectiveRadii:
     direction: StrArray
     load_left_N: FloatArray
     load_right_N: FloatArray
-    #: S_O along the corridor, shape (n_runs,)
-    distance_m: FloatArray
+    distance_m: FloatArray  #: S_O along the corridor, shape (n_runs,)
     #: effective radii, corrected for the path, shape (n_runs,)
     radius_left_m: FloatArray
     radius_right_m: FloatArray
@@ -82,7 +80,6 @@ class EffectiveRadii:
     #: of a typical run's radius
     budget: tuple[Component, ...] = ()
     left_out: tuple[UnusedRun, ...] = ()
-    #: sentences
     notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:

@@ -23,7 +23,7 @@ from calib.types import FloatArray, StrArray
 
 #: largest reference load over the largest driven; further out the line has no digits left
 MAX_REFERENCE_RATIO: Final = 1e4
-#: share of the radius by which load may change it over the measured range, and by which single runs may scatter
+#: share of the radius by which load may change it, and by which single runs may scatter
 MAX_LOAD_CHANGE: Final = 0.2
 MAX_SCATTER: Final = 0.03
 #: of temperatures, to show in a radius
@@ -32,13 +32,11 @@ MIN_SPAN_K: Final = 1.0
 USUAL_PER_K: Final = 5e-5
 #: of a load, usual with scales under the wheels
 WEIGHED_TO: Final = 0.01
-#: lengths nearer than so many times a distance's uncertainty hold that error themselves
+#: lengths nearer, in uncertainties of a distance, hold that error themselves
 LENGTHS_APART: Final = 30.0
 #: errors of a fifth of each amplitude look like one 0.8 times as large; peak to peak is twice
 OTHER_AMPLITUDE: Final = 1.5
-#: checks that explain the scatter
 EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")
-#: columns whose span is reported
 CONDITIONS: Final = (
     "distance_m", "speed_mps", "temperature_C", "payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load",
     "load_left_N", "load_right_N",
@@ -261,7 +259,7 @@ def _with_weighing_check(fit: WheelFit) -> WheelFit:
 
 
 def with_temperature_check(fit: WheelFit, temperature_C: FloatArray, session: StrArray) -> WheelFit:
-    """Return `fit` with the check against temperature, shape (n_runs,), NaN where not read."""
+    """Return `fit` with the check against temperature, (n_runs,), NaN where not read."""
     known = np.isfinite(temperature_C)
     if not known.any() or (span := float(np.ptp(temperature_C[known]))) < MIN_SPAN_K:
         return fit

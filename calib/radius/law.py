@@ -15,7 +15,6 @@ from scipy.special import chdtri, ndtr, stdtr, stdtridf, stdtrit
 from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats
 
-#: in this order
 JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
 #: and the quantile at its upper end
 COVERAGE: Final = 0.95
@@ -24,8 +23,7 @@ UPPER: Final = 0.5 + COVERAGE / 2
 SHARES: Final = 0.5 * (1 - np.cos(np.pi * np.arange(25) / 24))
 #: half steps of the solution; the coverage is then right to 0.15 %
 WELCH_ITERATIONS: Final = 12
-#: two sessions, one degree of freedom, have no curve: nodes of equal probability miss its tail (coverage 92.6 %); each
-#: part has its own t there
+#: two sessions have no curve: nodes of equal probability miss its tail (coverage 92.6 %); each part has its own t
 FEWEST_BETWEEN_DOF: Final = 2.0
 #: nodes of a chi-squared of few and of many degrees of freedom
 NODES_FEW_DOF: Final = 64
@@ -97,13 +95,13 @@ class WheelLaw:
         return self.strata.dof(c, single_run=single_run)
 
     def contrast(self, load_N: ArrayLike) -> FloatArray:
-        """Return 1 and the load above the reference, (..., 2), at `load_N` (any shape)."""
+        """Return (1, load above the reference), (..., 2), at `load_N` (any shape)."""
         offset = floats(load_N) - self.reference_load_N
         return np.stack((np.ones_like(offset), offset), axis=-1)
 
 
 def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
-    """Return the 97.5 % quantile of one Student variate, or a sum of two independent ones, each times its scale."""
+    """Return the 97.5 % quantile of one Student variate or a sum of two, each times its scale."""
     from scipy.optimize import brentq
 
     if len(scales) == 1:
@@ -320,7 +318,7 @@ def critical_curve(dof_between: float, dof_within: float) -> FloatArray:
         curve = np.clip(curve + 0.5 * (COVERAGE - covered) / rate, pooled_t, ends.max())
         curve[0], curve[-1] = ends
         if ends[1] >= ends[0]:
-            # past the dip that pooled degrees of freedom allow, more weight on fewer of them never narrows it
+            # past the dip more weight on fewer degrees of freedom never narrows it
             low = int(np.argmin(curve))
             curve[low:] = np.maximum.accumulate(curve[low:])
     curve.flags.writeable = False
@@ -328,7 +326,7 @@ def critical_curve(dof_between: float, dof_within: float) -> FloatArray:
 
 
 def critical_value(share: ArrayLike, dof_between: float, dof_within: float) -> FloatArray:
-    """Return the critical value for observed shares, V_between over the sum; it multiplies the root of the sum.
+    """Return the critical value for observed shares, V_between over the sum; it multiplies its root.
 
     `dof_between`, `dof_within`: 0 where there is no such part.
     """

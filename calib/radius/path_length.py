@@ -27,7 +27,7 @@ MIN_SAMPLES: Final = 16
 MIN_PERIODS: Final = 0.5
 #: six points a period at the most, see `HEADING_POINTS`
 MAX_PERIODS: Final = 42.0
-#: of the grid of starting values; finer than half a period, so that Gauss-Newton finds the right wave
+#: of starting values; finer than half a period, so that Gauss-Newton finds the right wave
 PERIOD_STEP: Final = 0.25
 #: headings about the axis over those about a straight trend, beyond which the fit diverged
 MAX_TREND_RATIO: Final = 3.0
@@ -48,7 +48,6 @@ SERIES_BELOW: Final = 1e-6
 class PathExcess:
     """Relative excess of the paths over S_O, S / S_O - 1; arrays of one shape."""
 
-    #: middle of the rear axle and both wheels
     centre: FloatArray
     left: FloatArray
     right: FloatArray
@@ -86,7 +85,6 @@ def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> Pat
     `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord. The arguments broadcast.
     """
     yaw, distance = np.broadcast_arrays(floats(yaw_rad), floats(distance_m))
-    # np.sinc is sin(pi x) / (pi x)
     return PathExcess.of(1.0 / np.sinc(0.5 * yaw / np.pi) - 1.0, yaw, distance, track_m)
 
 
@@ -103,7 +101,6 @@ class RunPaths(PathExcess):
     phase_rad: FloatArray
     #: ``log``, ``columns`` or ``none``, with ``+heading`` where the measured heading was used
     source: StrArray
-    #: sentences
     notes: tuple[str, ...]
 
 
@@ -117,7 +114,7 @@ def correct_paths(campaign: Campaign) -> RunPaths:
         2 * np.pi * campaign.model.radius_right_m / campaign.encoder.counts_per_rev_right,
     )
     weaves = estimate_weaves(campaign.logs, metres_per_count, track)
-    # the measured distance says how far the radii are from those assumed: headings are too large by that, too
+    # the measured distance says how far the radii are off, and the headings
     left, right = (np.abs(runs.number(f"counts_{side}")) for side in ("left", "right"))
     rolled = left * metres_per_count[0] / 2 + right * metres_per_count[1] / 2
     scale = distance * (1 + weaves.excess) / rolled
@@ -322,7 +319,7 @@ def _without_diverged(
         left = heading_rad - axis[0, :, None] - axis[1, :, None] * u - course
         return np.asarray(np.sqrt(np.mean(left**2, axis=1)))
 
-    # a wave is part of the residual of a straight trend: far more than that is two large terms that cancel
+    # far more than the residual of a straight trend is two large terms that cancel
     straight = about(plain)
     diverged = (about(line) > MAX_TREND_RATIO * straight + TINY_RAD) | (about(line, weave) > straight + TINY_RAD)
     return np.where(diverged, plain, line), np.where(diverged, 0.0, wave)

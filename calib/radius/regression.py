@@ -24,9 +24,7 @@ Plain = TypeVar("Plain")
 
 #: loads nearer than this share of the largest count as one load
 SAME_LOAD: Final = 0.02
-#: of `WheelFit`, in the order of the document
 RUN_ARRAYS: Final = ("load_N", "radius_m", "residual_m", "leverage", "cook")
-#: of `WheelFit`, written as they are
 _DOCUMENT: Final = (
     "reference_load_N", "intercept_m", "radius_ref_ci95_m", "slope_ci95_m_per_N", "r_squared", "residual_std_m",
     "dof_radius_ref", "model", "design", "run_std_m", "session_std_m", "checks",
@@ -41,14 +39,12 @@ FAILED: Final = "failed"
 class Check:
     """One check of a fit: a statistic, and its meaning and remedy in a sentence."""
 
-    #: stable, such as ``lack_of_fit``
     name: str
     #: ``ok``, ``note`` or ``failed``
     level: str
     sentence: str
     #: None: none, or not made
     statistic: float | None = None
-    #: ``F(3, 55)``
     statistic_name: str = ""
     #: where nothing is wrong
     p_value: float | None = None

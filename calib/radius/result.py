@@ -29,9 +29,7 @@ RUNS_FILE: Final = "runs.csv"
 PLAUSIBLE: Final = "plausible"
 #: what ``calib fit --json`` adds for other programs; nothing here reads it
 _ADDED: Final = ("model_comparison",)
-#: for report and certificate
 STATED_SECTIONS: Final = ("report", "certificate")
-#: of `Fit`, written as they are
 _WRITTEN: Final = ("simulated", "static", "notes", "setup", "provenance", "passed", "verdict")
 REMEDY: Final = "make it with 'calib fit CAMPAIGN --into FOLDER'"
 _TEXTS: Final = ("run_id", "session", "direction", "path_source")
@@ -64,7 +62,7 @@ class Fit(Result):
     simulated: bool  #: true where a program made the data
     left: WheelFit
     right: WheelFit
-    radii: EffectiveRadii  #: the runs behind them
+    radii: EffectiveRadii
     #: by wheel, where measured
     static: Mapping[str, WheelFit] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  #: what the user should know, in sentences
@@ -117,7 +115,7 @@ class Fit(Result):
         return DataFrame(_rows(self))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the fit as plain values: the keys of ``calib fit --json`` and everything `from_dict` needs."""
+        """Return the fit as plain values, as ``calib fit --json``."""
         document: dict[str, object] = {"format": FORMAT, "campaign": self.name, "wheels": self.wheels}
         document["runs"] = _rows(self)
         document |= {name: getattr(self.radii, name) for name in ("budget", "left_out")}
@@ -178,7 +176,6 @@ def provenance(campaign: Campaign, arguments: Mapping[str, object]) -> Mapping[s
     record: dict[str, object] = {"version": VERSION, "arguments": dict(arguments), "inputs": inputs}
     for section in STATED_SECTIONS:
         if section in campaign.extra:
-            # dates of TOML become texts
             record[section] = json.loads(json.dumps(campaign.extra[section], default=str))
     if notes := ingest_notes(campaign):
         record["ingest"] = notes
@@ -186,7 +183,7 @@ def provenance(campaign: Campaign, arguments: Mapping[str, object]) -> Mapping[s
 
 
 def ingest_notes(campaign: Campaign) -> list[list[str]]:
-    """Return what the import of a campaign noted, (where, text); empty for one that was not imported."""
+    """Return what the import of a campaign noted, (where, text); empty for one not imported."""
     file = None if campaign.root is None else campaign.root / "ingest.json"
     if file is None or not file.is_file():
         return []

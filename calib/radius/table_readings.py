@@ -19,7 +19,7 @@ from calib.types import FloatArray, IntArray, StrArray
 MIN_SLOPE_DOF: Final = 5
 #: of a radius: the tolerance of 'calib deviation'
 PATH_TOLERANCE: Final = 5e-4
-#: of what runs differ by; a law that leaves more of runs held out takes away less than three quarters of its square
+#: of what runs differ by; a law that leaves more takes away less than three quarters of its square
 WORTH_SHARE: Final = 0.5
 EXCHANGED: Final = "the loads, or else the counts, of left and right exchanged in all runs"
 #: of reading and fitting in turn, which settle in a few
@@ -84,7 +84,7 @@ def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
 
 
 def _other_reading(radii: EffectiveRadii) -> str:
-    # chance: the ratio of the squares to the power of half their degrees of freedom (of one wheel), times the readings
+    # chance: the ratio of the squares to the power of half their degrees of freedom, times the readings
     loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
     radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))
     days, n = groups_of(radii.session).indicators, len(loads)
@@ -103,7 +103,6 @@ def _other_reading(radii: EffectiveRadii) -> str:
     for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
         other = np.where(np.abs(other - loads) < SAME_LOAD, loads, other)
         options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
-        # all of them, or those of a session
         starts = [np.zeros(n), np.ones(n), *days.T[:MAX_CELLS]]
         of_kind = []
         for start in starts if len(other) == 1 else _starts(loads, radius, pairs):

@@ -1,7 +1,4 @@
-"""What a customer gets: content, figures and the typeset page.
-
-Here what a page or a terminal's text is made of: sentences of ``words.toml``, and blocks without layout.
-"""
+"""What a customer gets: content, figures and the typeset page."""
 
 import re
 import shlex
@@ -41,7 +38,7 @@ def _quoted(word: str) -> str:
 
 
 def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
-    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, where that has runs to diagnose.
+    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, where it has runs to diagnose.
 
     Raw files of the lab make one first.
     """
@@ -56,7 +53,6 @@ def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
     return "Next: " + text.format(**quoted)
 
 
-#: kind -> what draws it
 Drawings = Mapping[str, "Callable[[], Figure]"]
 
 

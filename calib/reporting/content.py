@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 #: in a page's header; the title has it whole
 SHORT_NAME: Final = 44
-#: lines to be signed, by the keys of `STATED`
 SIGNED: Final = {"prepared": "Prepared by", "authorised": "Authorised by"}
 
 
@@ -62,7 +61,6 @@ class Report:
     stated: Mapping[str, str] | None = field(default=None, metadata={"json": False})
     #: name and bytes of the laboratory's picture
     logo: tuple[str, bytes] | None = None
-    #: under the title
     facts: tuple[tuple[str, str], ...] = field(default=(), metadata={"json": False})
     #: made from, as far as estimated for it
     diagnosis: "Diagnosis | None" = field(default=None, metadata={"json": False})
@@ -113,7 +111,7 @@ def report_of(
     where: Path | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Return the report on a fit or a campaign (fitted now); where its runs allow no law, on their geometry.
+    """Return the report on a fit or a campaign; where its runs allow no law, on their geometry.
 
     `issued`, `accept`, `where`: see `source_of`; `seed`: of the diagnosis of the gap, which is added; None: none is.
     Raises BadInputError where a fit is to be diagnosed; RefusedError where the runs allow neither a law nor a geometry.

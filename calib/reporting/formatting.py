@@ -63,16 +63,13 @@ def two_digits(std: float | None) -> str:
 
 
 def measured(value: float, std: float) -> tuple[str, str]:
-    """Return value and uncertainty as texts with the same last place, two significant digits of uncertainty."""
+    """Return value and uncertainty with the same last place, two significant digits of uncertainty."""
     decimals = places(std)
     return fixed(value, decimals), two_digits(std) if decimals == 0 else fixed(std, decimals)
 
 
 def aligned(rows: Iterable[Sequence[str]], *columns: int) -> tuple[tuple[str, ...], ...]:
-    """Return rows whose numbers, in the given columns, stand with their decimal points below each other.
-
-    Shorter fractions, which have fewer significant digits, are filled up with blanks as wide as a figure.
-    """
+    """Return rows whose numbers, in the given columns, stand with decimal points below each other."""
     padded = [list(row) for row in rows]
     for column in columns:
         fractions = [len(row[column].partition(".")[2]) for row in padded]
@@ -101,7 +98,7 @@ def prose(text: str) -> str:
 
 
 def readable(unit: str, size: float) -> tuple[float, str]:
-    """Return factor and unit in which a length or angle of this size (SI) reads well: mm or m, mrad or rad."""
+    """Return factor and unit in which a length or angle of this size (SI) reads well."""
     if unit not in {"m", "rad"}:
         return 1.0, unit
     return (1.0, unit) if size >= MILLI_BELOW else (1e3, f"m{unit}")
@@ -157,20 +154,19 @@ _NAMED: Final = {
 
 
 def with_unit(name: str) -> str:
-    """Return ``speed_mps`` as ``speed (m/s)``; a name of unknown unit says that it is the column's own."""
+    """Return ``speed_mps`` as ``speed (m/s)``; of an unknown unit, that it is the column's own."""
     words = in_words(name)
     return words if words.endswith(")") else f"{words} (as in the table)"
 
 
 def in_words(name: str) -> str:
-    """Return ``speed_mps`` as ``speed (m/s)``, and a name of no or unknown unit without its underscores."""
+    """Return ``speed_mps`` as ``speed (m/s)``, else a name without its underscores."""
     stem, _, suffix = name.rpartition("_")
     text = f"{stem} ({_UNITS[suffix]})" if stem and suffix in _UNITS else name
     return _NAMED.get(name, text).replace("_", " ")
 
 
 WIDTH: Final = 80
-#: widest names in a list of facts
 _NAME: Final = 26
 _SIGNS: Final = str.maketrans({"−": "-", "→": "->", "\u2007": " ", "\u2008": " ", "\u200b": "", "\u00a0": " "})
 EQUATIONS: Final = reporting.catalogue()["equation"]
@@ -185,7 +181,7 @@ class Line:
 
 
 def plain(text: str) -> str:
-    """Return a text with the minus sign and blanks that a terminal's users can copy and search for."""
+    """Return a text with signs that a terminal's users can copy and search for."""
     return text.translate(_SIGNS)
 
 
@@ -195,7 +191,7 @@ def to_text(blocks: Iterable[Block | Section], width: int = WIDTH) -> str:
 
 
 def text_lines(blocks: Iterable[Block | Section], width: int = WIDTH) -> list[Line]:
-    """Return blocks as lines of at most `width` columns, longer words apart; without pictures and columns of detail."""
+    """Return blocks as lines of at most `width` columns, longer words apart; no pictures, no detail."""
     lines: list[Line] = []
     for block in blocks:
         if isinstance(block, Section):
@@ -249,7 +245,6 @@ def _facts(rows: Sequence[tuple[str, str]], width: int) -> list[Line]:
 GAP: Final = 2
 #: wider texts may wrap
 LONG: Final = 30
-#: least, of sentences
 NARROW: Final = 24
 
 
@@ -262,10 +257,7 @@ class _Fitted:
 
 
 def table_lines(table: Table, width: int) -> list[Line]:
-    """Return header, rule and rows of a table, without columns of detail.
-
-    A table wider than `width` is dealt out to several below each other, the first column in each.
-    """
+    """Return header, rule and rows of a table, without columns of detail."""
     shown = [(number, column) for number, column in enumerate(table.columns) if not column.detail]
     fitted = [_fit(column, [plain(row[number]) for row in table.rows]) for number, column in shown]
     lines: list[str] = []

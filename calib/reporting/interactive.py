@@ -37,15 +37,14 @@ except ImportError as error:
 COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#999999")
 #: scale of numbers, light to dark (matplotlib's viridis, reversed)
 RAMP: Final = ("#FDE725", "#7AD151", "#22A884", "#2A788E", "#414487", "#440154")
-#: a run's paths (model alone, with the causes that the fix corrects, measured): line, mark, name in the legend
+#: a run's paths (model alone, corrected, measured): line, mark, name in the legend
 PATH_STYLES: Final = {
     "before": ("dashed", "circle", "simulated"),
     "after": ("solid", "square", "simulated with the causes"),
     "reference": ("dotted", "x", "measured"),
 }
-#: beside a cause
 ALIASES_NAMED: Final = 3
-#: opacity of what is not selected, and a panel's size in pixels: two side by side where there is room
+#: opacity of what is not selected, and a panel's size in pixels
 FADED_ALPHA: Final = 0.12
 PANEL_LEAST_WIDTH: Final = 300
 PANEL_HEIGHT: Final = 380
@@ -53,7 +52,7 @@ LEGEND_NAMES: Final = 24
 
 
 def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
-    """Return the panels, and Bokeh itself, as HTML for a page's body: nothing is fetched when the page is opened."""
+    """Return the panels, and Bokeh itself, as HTML for a page's body: nothing is fetched."""
     resources = Resources(mode="inline", components=["bokeh", "bokeh-widgets"])
     gap, along = GapArrays.of(diagnosis), gap_along_runs(diagnosis.observations, campaign)
     columns = panel_columns(gap, along, run_paths(diagnosis, campaign), COLOURS)
@@ -250,7 +249,7 @@ def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> M
     return _changed(choice, "colour", source=source, legend=legend, **scales)
 
 
-#: points of all paths together, of one path, and of a gap along a run at most: more make the page heavy
+#: most points of all paths, of one, and of a gap along a run: more make the page heavy
 ALL_POINTS: Final = 12_000
 PATH_POINTS: Final = 60
 TRACE_POINTS: Final = 120
@@ -258,7 +257,6 @@ TRACE_POINTS: Final = 120
 ALONG: Final = {"along (mm)": 1, "heading (mrad)": 2}
 #: what the gap along a run is drawn against -> its column there
 RUN_AXES: Final = {"travelled distance (m)": 0, "time (s)": 3}
-#: colour panels and choose runs
 LABELS: Final = ("kind", "session", "run")
 
 

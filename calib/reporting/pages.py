@@ -41,10 +41,7 @@ MAX_MISSING_SIGNS: Final = 24
 
 
 def to_pdf(report: Report, progress: Progress = silent) -> bytes:
-    """Return the report as PDF/A-3a.
-
-    Only built-in fonts are used, unless a name holds signs that these lack. Raises CalibError where it cannot be set.
-    """
+    """Return the report as PDF/A-3a; raises CalibError where it cannot be set."""
     sources: dict[str, bytes] = {
         "main.typ": (files("calib.reporting") / "page.typ").read_bytes(),
         "data.json": to_json(report.to_dict()).encode("utf-8"),
@@ -109,7 +106,7 @@ def _compiled(folder: Path, report: Report, *, system_fonts: bool) -> bytes:
 
 
 def to_html(report: Report, panels: str = "") -> str:
-    """Return a report as a self-contained page, with linked panels in place of the figures of the diagnosis."""
+    """Return a report as a self-contained page, linked panels in place of the diagnosis' figures."""
     sections = report.sections
     if panels:
         kept = [[each for each in part.blocks if getattr(each, "name", "") not in GAP_PICTURES] for part in sections]
@@ -121,7 +118,7 @@ def to_html(report: Report, panels: str = "") -> str:
 
 
 def diagnosis_page(diagnosis: "Diagnosis", campaign: Campaign) -> str:
-    """Return a diagnosis as a self-contained HTML page; raises MissingExtraError where Bokeh is not installed."""
+    """Return a diagnosis as a self-contained HTML page; MissingExtraError without Bokeh."""
     from calib.reporting.interactive import interactive_panels
     from calib.reporting.topics.diagnosis import diagnosis_content, page_one_notice
 
@@ -146,7 +143,7 @@ def _page(page: Mapping[str, Any], sections: Sequence[Section], panels: str) -> 
 
 
 def blocks_html(blocks: Iterable[Block | Section]) -> str:
-    """Return blocks as markup without a page around them, as a notebook shows them; every text is escaped."""
+    """Return blocks as markup without a page around them; every text is escaped."""
     flat: list[Block] = []
     for block in blocks:
         flat += (Heading(block.title), *block.blocks) if isinstance(block, Section) else (block,)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 
 #: a PDF carries no earlier date of creation
 FIRST_YEAR: Final = 1970
-#: probability
 SURE_FROM: Final = 0.9
 
 
@@ -60,7 +59,7 @@ class Source:
 
     @property
     def report_id(self) -> str:
-        """Identification: derived from the inputs, the program's version and what was asked, never from chance."""
+        """Identification: derived from inputs, version and what was asked, never from chance."""
         content = {
             "inputs": self.inputs or {"fit": hashlib.sha256(to_json(self.fit.to_dict()).encode()).hexdigest()},
             "campaign": self.fit.name,
@@ -71,7 +70,7 @@ class Source:
         return number_of("CR", content)
 
     def facts(self, **titles: str) -> list[tuple[str, str]]:
-        """Return what the campaign states under keys of `STATED`, each with its title; nothing of the others."""
+        """Return what the campaign states under keys of `STATED`, each with its title."""
         return [(title, self.stated[key]) for key, title in titles.items() if key in self.stated]
 
 
@@ -99,7 +98,7 @@ def opened(path: Path, *, progress: Progress = silent) -> "Fit | Campaign":
 
 
 def source_of(given: "Fit | Campaign", *, issued: str, accept: str = "", where: Path | None = None) -> Source:
-    """Return what a report on a fit is made from, or on a campaign, which is fitted now; it has no diagnosis.
+    """Return what a report on a fit, or on a campaign fitted now, is made from, without diagnosis.
 
     `issued`: date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same;
     empty: it is refused; `where`: where the fit was read from, if it was.
@@ -143,7 +142,7 @@ def _verdict_beside(path: Path, name: str) -> "tuple[VerdictKind, str] | None":
 
 
 def doubtful_causes(causes: Iterable[tuple[str, float]]) -> str:
-    """Return the probabilities of named causes, (effect, probability), where one is below 0.9; else nothing."""
+    """Return the probabilities of causes, (effect, probability), where one is below 0.9; else nothing."""
     named = list(causes)
     if all(value >= SURE_FROM for _, value in named):
         return ""
@@ -154,7 +153,6 @@ def doubtful_causes(causes: Iterable[tuple[str, float]]) -> str:
 STATED: Final[Mapping[str, str]] = catalogue()["stated"]
 #: keys whose absence a reader need not be told
 OPTIONAL: Final = frozenset({"remarks", "deviations", "prepared", "method", "replaces", "logo"})
-#: that a page can carry
 _PICTURES: Final = (".svg", ".png", ".jpg", ".jpeg")
 #: a larger logo is a photograph by mistake
 _LARGEST: Final = 2_000_000
@@ -187,7 +185,7 @@ def refused_settings(campaign: Campaign) -> list[Note]:
 
 
 def texts_of(section: Any, where: Path | str) -> dict[str, str]:
-    """Return the texts of a ``[report]`` section, a list of texts joined; BadFileError names what is no such text."""
+    """Return the texts of a ``[report]`` section, lists joined; BadFileError names what is no text."""
     if section is None:
         return {}
     remedy = f"write text under these keys: {', '.join(STATED)}"
@@ -206,7 +204,7 @@ def texts_of(section: Any, where: Path | str) -> dict[str, str]:
 
 
 def logo_of(campaign: Campaign) -> tuple[str, bytes] | None:
-    """Return the logo that a campaign states, as name in the page and bytes; None where it states none."""
+    """Return a campaign's logo, as name in the page and bytes; None where it states none."""
     name = stated_of(campaign).get("logo")
     if name is None or campaign.root is None:
         return None

@@ -1,7 +1,4 @@
-"""A laboratory's files and recordings become a campaign: described, mapped, cut into runs.
-
-Here the files of sources and their contents: columns, sheets, streams with their clocks.
-"""
+"""A laboratory's files and recordings become a campaign: described, mapped, cut into runs."""
 
 import re
 import textwrap
@@ -34,7 +31,6 @@ _MOSTLY_NUMBERS: Final = 0.8
 _LEAST_NAMES: Final = 2
 
 
-#: what is said of run tables in several folders
 OF_FOLDERS: Final = "their runs become one campaign; several vehicles: ingest one by one, then 'calib fleet'"
 
 
@@ -326,7 +322,7 @@ _PARTS: Final = {
 
 
 def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
-    """Return the name of a run's log by the pattern; None without a pattern, or a number in the run's name.
+    """Return the name of a run's log by the pattern; None without one, or a number in the run's name.
 
     `pattern`: of ``log.files``; else ``log.file``.
     """
@@ -345,7 +341,7 @@ def with_number(pattern: str, number: int) -> str:
 
 
 def fits_name(name: str, wanted: str) -> bool:
-    """Return whether a file's name is the wanted one of `expected_name`, in any letter case."""
+    """Return whether a file's name is the wanted one, in any letter case."""
     return _match(name, wanted.replace("\\", "/").rpartition("/")[2]) is not None
 
 
@@ -362,7 +358,7 @@ def _match(name: str, pattern: str) -> re.Match[str] | None:
 
 
 def moment_of(cells: Iterable[Any]) -> tuple[str, ...]:
-    """Return the first date and time in a row's cells as digits, year or day first; nothing without both."""
+    """Return the first date and time in a row's cells as digits, year or day first; else nothing."""
     days, second = 0, 0
     for cell in map(str, table.filled_cells(list(cells))):
         for text in (cell, f"{cell} 00:00"):

@@ -29,7 +29,7 @@ _OF_RUNS: Final = frozenset(
     {"session", "direction", "kind", "payload_kg", "load_axle_N", "load_left_N", "load_right_N", "temperature_C"}
 )
 _OF_SPEEDS: Final = {"counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',)}
-#: counted instead of two rear wheels -> key of the settings -> its lines, empty for the usual line
+#: counted instead of two rear wheels -> key of the settings -> its lines, empty for the usual
 _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     "counts_rear_left": {
         "drive": ('drive = "mecanum"   # four wheels are counted',),

@@ -21,7 +21,6 @@ from calib.types import SUFFIXES, BoolArray, FloatArray, floats, split_suffix, u
 _BEHIND: Final = re.compile(
     r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total|rpm))+$"
 )
-#: in names of either side -> its letter
 _LETTERS: Final = (
     {"SIDE": "left", "INITIAL": "l", "FRENCH": "g", "ITALIAN": "s", "SWEDISH": "v"},
     {"SIDE": "right", "INITIAL": "r", "FRENCH": "d", "ITALIAN": "d", "SWEDISH": "h"},
@@ -130,7 +129,7 @@ def reading_of(name: str) -> tuple[str, str] | None:
 
 
 def guessed_log_column(name: str) -> str | None:
-    """Return the log's column that a name may mean, or None; of ``stream:column`` the last part counts first."""
+    """Return the log's column that a name may mean, or None; of ``stream:column`` the last part first."""
     parts = re.split(r"[:/.]*[:/](?![^\[(]*[\])])", name)
     last = re.sub(r"^(position|velocity|effort)\.", "", parts[-1])
     return _guessed_in_log(last) or _guessed_in_log("_".join(parts).strip("_"))
@@ -147,7 +146,7 @@ def _guessed_in_log(name: str) -> str | None:
 
 
 def _wheel_of(name: str) -> str | None:
-    """Return the wheel whose side, and what of it turns or rolls, stand in any order: ``left_wheel_angle``."""
+    """Return the wheel of a name with a side and what turns or rolls, in any order: ``left_wheel_angle``."""
     parts, (stem, unit) = _names()["parts"], stem_and_unit(name)
     measures, words = SUFFIXES[unit][0] if unit else "", stem.split("_")
 
@@ -182,7 +181,7 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
 
 
 def by_rangefinder(name: str) -> bool:
-    """Return whether a column says that an instrument measured its lengths: preferred to one that does not."""
+    """Return whether a column says that an instrument measured its lengths."""
     return re.search(_names()["parts"]["measured"], stem_and_unit(name)[0]) is not None
 
 
@@ -211,7 +210,7 @@ def usual_step(values: FloatArray) -> float:
 
 
 _RISES: Final = 0.98
-#: shares of a turn: an angle's jump back, and the span of one that starts again, with rounding
+#: of a turn: an angle's jump back, and the span of one that starts again
 _JUMP, ONE_TURN = 0.75, 1.001
 #: a clock's steps are off the usual one by no more, for this share of them
 _EVEN, _MOSTLY = 0.05, 0.9
@@ -241,7 +240,7 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
         steady = np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
         if _JUMP * turn < span <= ONE_TURN * turn and jumps.any() and steady:
             return words
-    # what moves goes on: a counter's steps are alike from one to the next, but where it starts again; increments' are
+    # what moves goes on: a counter's steps are alike from one to the next, but where it starts again
     away = np.abs(values[1:] - values[0]) > _AWAY * span
     turns = steps[away & (steps != 0)]
     level = abs(values[-1] - values[0]) < 0.1 * _AWAY * span and away.mean() > 0.5
@@ -289,7 +288,7 @@ def estimate_lag(
     step = max(own_step, other_step, 1e-3)
     if not end - start > 4 * _LARGEST_LAG_S:
         return None
-    # an interpolated distance is less noisy between samples: a grid in step with a stream would prefer such a lag
+    # interpolated distances are less noisy: a grid in step with a stream would prefer such a lag
     grid_step = max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
     grid = np.arange(start + _LARGEST_LAG_S, end - _LARGEST_LAG_S, grid_step)
     half_window = max(_SPEED_WINDOW_S, step)

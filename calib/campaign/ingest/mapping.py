@@ -292,7 +292,6 @@ class LabMapping:
     log: LogSection
     #: None where each log is one run
     cut: Segmentation | None
-    #: all else: of ``campaign.toml``
     settings: dict[str, object]
     table_file: Path | None = None
 

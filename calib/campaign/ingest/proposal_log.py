@@ -39,17 +39,15 @@ _DAY_STEP: Final = 5e-5
 #: least step of whole-number times -> unit; loggers sample at 1 Hz to 1 kHz
 _STEPS: Final = ((1e6, "ns"), (1e3, "us"), (1.5, "ms"))
 _PAIR: Final = ("counts_left", "counts_right")
-#: wheels at four corners, by their sides, front first
 _CORNERS: Final = {
     "counts_left": ("counts_front_left", "counts_rear_left"),
     "counts_right": ("counts_front_right", "counts_rear_right"),
 }
-#: of its span, by which two coupled wheels of a side differ at most: they slip, but do not steer
+#: of its span, by which two coupled wheels of a side differ: they slip, but do not steer
 _COUPLED: Final = 0.02
 _LEVEL: Final = 0.1
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
 _TWIST: Final = ("v_mps", "omega_radps")
-#: end of the name of a quaternion's z: no heading
 _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
 #: stem of a pose that no tracker is named in: the vehicle's own, perhaps
 _NO_TRACKER: Final = re.compile(r"((robot|base)_)?(pose?|pos(ition)?)?_?(x|y|theta|yaw|heading)")
@@ -59,7 +57,7 @@ SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a 
 
 
 def log_lines(logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the recording or the widest log, and remarks on what is missing."""
+    """Return the lines for the recording or the widest log, and what is missing."""
     if several := {tag: part for tag, (_, part) in files_of_a_run(logs).items()}:
         return _lines_of_several(several, logs)
     log = max(logs, key=lambda file: (file.recording, len(file.columns)))
@@ -150,7 +148,7 @@ def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], l
 
 
 def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
-    # a joint's rate, a pose of no tracker and a length of no instrument are taken where nothing better is there
+    # last a joint's rate, a pose of no tracker, a length of no instrument
     no_tracker = _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None or "odom" in column.name.lower()
     return _RATE in column.name, no_tracker, not guesses.by_rangefinder(column.name)
 
@@ -187,7 +185,7 @@ def _lay_flat(found: dict[str, ColumnContents], columns: Sequence[ColumnContents
         return
     spans = [axis.span for axis in axes]
     up = spans.index(min(spans))
-    # the floor is uneven, and a straight run's sideways motion small
+    # a straight run's sideways motion is small, too
     up = up if spans[up] < _LEVEL * sorted(spans)[1] else 2
     found["ref_x_m"], found["ref_y_m"] = axes[(up + 1) % 3], axes[(up + 2) % 3]
     turns = [column for column in columns if column.name[-1].lower() == "xyz"[up] and _w(column) in named]
@@ -259,7 +257,7 @@ def _wheel_lines(
         lines.append(f'#{name} = "{found.pop(name).name}"   # looks like a wheel, but no column looks like {other}')
     wheels = [name for name in LOG_COLUMNS if name.startswith("counts_") and name in found]
     units = {name: _wheel_unit(found[name], streams.get(found[name].name)) for name in wheels}
-    # an angle may fall and rise as a rate does, a rate never only rises: of one vehicle all wheels are alike
+    # an angle may fall and rise as a rate does: of one vehicle all wheels are alike
     angle = next((each for each in units.values() if each[0] == "rad" and each[1]), None)
     for wheel in wheels:
         column, stream = found[wheel], streams.get(found[wheel].name)

@@ -32,7 +32,7 @@ def unit_remark(name: str) -> str:
 
 
 _LONGEST_M: Final = 3.0
-#: numbers below it are as likely masses of wheels in kg as the loads of a robot of 30 kg, and no other column tells
+#: numbers below it are as likely wheels' masses in kg as the loads of a robot of 30 kg
 _LIGHT_N: Final = 150.0
 #: times further apart are of runs, not of a log's samples
 _SHORTEST_RUN_S: Final = 5.0
@@ -48,7 +48,7 @@ _MOMENTS: Final = (
 
 
 def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the run table's columns, and remarks on the others; runs without `logs` may be nameless."""
+    """Return the lines for the run table's columns; runs without `logs` may be nameless."""
     lines = _place_lines(table)
     left: dict[str, list[str]] = {"recognised by their names": [], "kept as covariates": [], "not used": []}
     targets = _targets(table)
@@ -57,7 +57,7 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
     def of(target: str) -> list[ColumnContents]:
         return [column for column in table.columns if targets[column.name] == target]
 
-    # where nothing else is: a date for the session, an axle's load, a length that no instrument measured
+    # last a date for the session, an axle's load, a length that no instrument measured
     dates = [one for one in of("session") if stem_and_unit(one.name)[0] in {"datum", "date", "messdatum"}]
     passed_over = dates if len(of("session")) > len(dates) else []
     passed_over += of(_AXLE) if set(WHEEL_LOADS) & set(targets.values()) else []
@@ -272,7 +272,7 @@ def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
 
 
 def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileContents]]:
-    """Return the several files that a run's log consists of: a name for each -> its pattern and the first such file."""
+    """Return the files that a run's log consists of: a name for each -> its pattern and first such file."""
     if any(log.recording for log in logs):
         return {}
     groups = list(grouped((re.sub(r"\d+", "#", Path(log.name).name), log) for log in logs).values())

@@ -29,7 +29,7 @@ def without_unit(name: str) -> str:
 
 
 def whole_name(column: str, names: Collection[str]) -> str:
-    """Return the name in the file that a mapping gives without its unit; `column` where none is like it."""
+    """Return a file's name for a mapping's without unit; `column` where none is like it."""
     alike = [name for name in names if without_unit(name) == column.strip()]
     return alike[0] if len(alike) == 1 and column not in names else column
 
@@ -75,7 +75,7 @@ def with_lookups(
 
 
 def files_of_sheets(mapping: LabMapping, path: Path, files: Sequence[Path], hashes: dict[str, str]) -> dict[str, Path]:
-    """Return the files that a mapping's sheets name where the run table at `path` is no workbook; add their hashes."""
+    """Return the files that a mapping's sheets name where `path` is no workbook; add their hashes."""
     found: dict[str, Path] = {}
     for target, line in mapping.table.columns.items():
         if line.sheet and path.suffix.lower() != ingest.WORKBOOK:
@@ -129,7 +129,7 @@ def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, bor
 
 
 def names_runs(raw: RawTable, mapping: LabMapping) -> bool:
-    """Return whether a table names runs, by the mapping or calib's name, or has all columns that the mapping names."""
+    """Return whether a table names runs, or has all columns that the mapping names."""
     lines = mapping.table.columns
     line, sources = lines.get("run_id"), {source for each in lines.values() for source in each.sources}
     own = any(recognise(name, TABLE_COLUMNS).name == "run_id" for name in raw.columns)
@@ -228,7 +228,7 @@ def _without_repeats(raw: RawTable, shown: str, border: Border, known: Rows) -> 
 def match_logs(
     runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border, table: RawTable | None = None
 ) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
-    """Return each run's files by the names of ``log.files``, a single one under an empty name; and missing logs' names.
+    """Return each run's files by ``log.files``, a single one under an empty name; and missing logs' names.
 
     Raises BadFileError where no run finds its log, or two; see `mapped_runs`.
     """
@@ -295,7 +295,7 @@ def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border
 
 
 def files_of_runs(files: Sequence[Path], log: LogSection) -> dict[str, dict[str, Path]]:
-    """Return the runs of files by the patterns of ``log.files``, in the order of their names, and the files of each."""
+    """Return the runs of files by the patterns of ``log.files``, in order, and the files of each."""
     found: dict[str, dict[str, Path]] = {}
     for tag, pattern in log.files.items():
         for path in (path for path in files if ingest.fits_name(path.name, pattern)):

@@ -74,7 +74,7 @@ class Ingestion:
 def segment_recordings(
     work: Ingestion, runs: RunTable | None, table: RawTable | None, recordings: Mapping[Path, MappedLog]
 ) -> tuple[RunTable, dict[int, MappedLog]]:
-    """Return rows, and the log of each run by its number; `work` gets the recordings, and the part that each run is.
+    """Return rows, and the log of each run by its number; `work` gets recordings and segments.
 
     Raises BadFileError where there are not as many segments as rows.
 

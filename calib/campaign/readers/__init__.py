@@ -1,7 +1,6 @@
 """Readers of tables and recordings; a new format is one function and one line in `READERS`.
 
-Here those of measuring programs: MATLAB files of version 5 to 7.2, and TDMS files with the ``tdms`` extra. MATLAB's
-element tree is checked before a reader in C, which trusts every tag.
+MATLAB's element tree is checked before a reader in C, which trusts every tag.
 """
 
 import logging
@@ -269,7 +268,7 @@ def _array(content: memoryview, order: str, depth: int) -> None:
     kind, is_complex = flags & 0xFF, bool(flags & _COMPLEX_FLAG)
     if kind not in _ARRAY_CLASSES:
         raise ValueError(f"an array of class {kind}")
-    # flags, dimensions, name, a sparse one's rows and columns, real and imaginary numbers
+    # flags, dimensions, name, a sparse one's places, numbers
     wanted = 3 + (2 if kind == _SPARSE else 0) + 1 + is_complex
     if _CHARACTERS <= kind <= _LAST_NUMERIC and len(parts) < wanted:
         raise ValueError(f"an array of class {kind} with {len(parts)} of {wanted} elements")

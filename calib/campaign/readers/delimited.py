@@ -23,7 +23,7 @@ from calib.types import FloatArray, grouped, unit_named
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
 _HEAD_BYTES: Final = 1 << 16
-#: tables of numbers up to so many bytes are read without pandas, whose import takes longer
+#: smaller tables of numbers are read without pandas, whose import takes longer
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
 _FEW_ROWS, _LEAST_LINES = 8, 2
@@ -308,7 +308,6 @@ def _utf8(data: bytes, shown: str) -> tuple[bytes, list[Note]]:
 
 
 def _tidy(data: bytes, layout: Layout, shown: str) -> tuple[bytes, list[Note]]:
-    # a text with empty lines for those without cells; lines that begin with # are remarks, but for one right above the
     notes: list[Note] = []
     if layout.skip_rows:
         lines = data.split(b"\n")

@@ -63,7 +63,7 @@ class Stream:
     clock: str
     #: as in the file, by column
     units: Mapping[str, str] = field(default_factory=dict)
-    #: median of arrival minus stamp, where messages have stamps; it differs between clocks
+    #: median of arrival minus stamp; it differs between clocks
     behind_arrival_s: float | None = None
 
     def __len__(self) -> int:
@@ -286,7 +286,6 @@ def _opened(path: Path, shown: str) -> Iterator[Any]:
 
 @contextmanager
 def _damage_named(shown: str) -> Iterator[None]:
-    # the library's errors on damage are many
     try:
         yield
     except (MemoryError, BadFileError):
@@ -353,7 +352,6 @@ def _finite(value: float) -> float:
     return float(value) if math.isfinite(value) else math.nan
 
 
-#: of std_msgs
 NUMBERS: Final = ("Float32", "Float64", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 MESSAGE_TYPES: Final[Mapping[str, Callable[[Any], Sequence[Part]]]] = {
     "sensor_msgs/msg/JointState": _joint_state,

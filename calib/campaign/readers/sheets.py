@@ -16,7 +16,7 @@ from calib.errors import BadFileError
 from calib.types import SUFFIXES, unit_named
 
 Rows = list[tuple[int, Sequence[Any]]]
-#: unit of a wheel's column -> what its numbers are, turns (or counts, metres) a unit, and other spellings in lower case
+#: unit of a wheel's column -> what its numbers are, turns (or counts, metres) a unit, other spellings
 COUNT_UNITS: Final[Mapping[str, tuple[str, float, str | None]]] = {
     "counts": ("counts", 1.0, r"counts?|cn?ts?|ticks?|(im)?pulses?|in[ck]|imp"),
     "counts/sample": ("increments", 1.0, r"increments|(cnt|ticks)/sample|counts/step"),
@@ -50,7 +50,6 @@ _BRACKETED: Final = re.compile(r"[\[(].*[\])]")
 _SIDE: Final = re.compile(r"(l|r|li|re|left|right|links|rechts)\.?", re.IGNORECASE)
 _UNIT_AT_END: Final = re.compile(r"[\[(][^\[\]()]*[\])]\s*$")
 _WITH_UNIT: Final = re.compile(r"([+-]?\d[\d.,'\s]*?)\s*([^\W\d_][^\d\s]*|°\w?|%)")
-#: names of rows that sum up others
 SUMMARY: Final = re.compile(
     r"(mean|average|avg|sum|total|std|st\.?\s?dev|std\.?\s?dev|sd|min|max|minimum|maximum|median|mittel(wert)?|mw|summe"
     r"|gesamt|standardabweichung|st(d|and)?abw|durchschnitt|moyenne|somme|ecart.type|écart.type|media|suma|somma|ø|σ|Σ)\W*",
@@ -59,7 +58,7 @@ SUMMARY: Final = re.compile(
 
 
 def heading(numbered: Rows, layout: Layout, shown: str, above: Sequence[Any] = ()) -> tuple[list[str], int, list[Note]]:
-    """Return the columns' names, with units in brackets, how many rows they take, and what was recognised.
+    """Return the columns' names, with units in brackets, how many rows they take, and notes.
 
     `numbered`: the header first; `above`: the row over it; see `table_rows`.
     """
@@ -229,7 +228,7 @@ def finished(
 def table_rows(
     names: list[str], rows: Rows, n_rows: int, layout: Layout, shown: str
 ) -> tuple[list[str], Rows, list[Note]]:
-    """Return names, and the rows beneath the header; of a laboratory's only those of the table, others noted.
+    """Return names, and the rows beneath the header; of a laboratory's those of the table, others noted.
 
     `rows`: the `n_rows` of the header first; see `heading`.
     """

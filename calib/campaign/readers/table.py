@@ -277,7 +277,7 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
 
 
 def notes_of_commas(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: IntArray) -> list[Note]:
-    """Return notes on a table with decimal commas, and on one with decimal points beside them."""
+    """Return notes on decimal commas, and on decimal points beside them."""
     notes = [Note("info", shown, "decimal commas were read as decimal points", "decimal_comma")]
     first: dict[str, tuple[int, str, str]] = {}
     for name, cells in columns.items():
@@ -345,7 +345,6 @@ def moments_ns(cells: Sequence[Any] | npt.NDArray[Any]) -> tuple[IntArray, int |
         except ValueError:
             return out, index
         if index and out[index] < out[index - 1] - _HALF_DAY_NS and _TIMES["time_of_day"].fullmatch(str(cell).strip()):
-            # past midnight
             passed_ns += 2 * _HALF_DAY_NS
             out[index] += 2 * _HALF_DAY_NS
     return out, None

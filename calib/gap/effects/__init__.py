@@ -16,11 +16,7 @@ from calib.types import FloatArray
 
 
 class Family(StrEnum):
-    """Effects that act through the same thing, so that one represents another where the runs vary too little.
-
-    Grouped by physics, not by residuals: unequal radii and a reference's yaw look alike on straight runs, but are put
-    right differently.
-    """
+    """Effects that act through the same thing, so that one represents another where the runs vary too little."""
 
     words: str  #: what is sure where only the family is, as a clause
 
@@ -34,7 +30,7 @@ class Family(StrEnum):
     LOAD = "load", "the radii follow the load"
     TURNING = "turning", "turns come out other than the wheels say"
     SPEED = "speed", "the distance changes with the speed or with stops"
-    # temperature belongs here: it rises with the day as wear and sessions do, and is told from them by the same runs
+    # temperature, too: it rises with the day as wear and sessions do
     DRIFT = "drift", "the radii drift over the campaign"
     DIRECTION = "direction", "one direction of travel differs from the other"
     COUNTS = "counts", "the encoders count wrongly"
@@ -55,10 +51,10 @@ class Parameter:
     #: name, unit: as printed; ``1`` for a plain number
     name: str
     unit: str
-    typical: float  #: order of magnitude by literature and arithmetic; the scale of its prior
+    typical: float  #: order of magnitude; the scale of its prior
     largest: float  #: larger is physically implausible
     sign: int = 0  #: 1 or -1 where only that sign has a meaning, 0 where either does
-    #: whether it only shifts where the others have their zero: its prior is as wide as their sizes make it
+    #: whether it only shifts where the others have their zero
     shift: bool = False
 
 
@@ -98,7 +94,7 @@ class Form:
 
     effect: str
     label: str  #: which form, for example ``exponent 0.7``; empty where there is one only
-    parameters: tuple[Parameter, ...]  #: the parameters that the data choose
+    parameters: tuple[Parameter, ...]
     #: path -> one `Perturbation` a parameter, per unit of the parameter
     perturbations: Perturbations
     #: not fitted linearly: an exponent, a time constant, a place
@@ -108,7 +104,7 @@ class Form:
     centre: Centre | None = None
     #: centre -> `perturbations` with the effect zero there; each form with a centre has it
     about: Callable[[Centre], Perturbations] | None = None
-    #: lowest and highest value of what its single parameter multiplies at which it may truly be zero
+    #: lowest and highest value, of what its parameter multiplies, at which it may truly be zero
     zero_within: tuple[float, float] = (-inf, inf)
     #: settings -> `perturbations` with these, for a form whose settings come from the runs
     at: Callable[[Mapping[str, float]], Perturbations] | None = None
@@ -120,13 +116,13 @@ class Form:
     end: Centre | None = None  #: where a file writes it zero, for what counts on through the campaign
 
     def centred_at(self, centre: Centre | None) -> "Form":
-        """Return the form with the effect zero at a centre, itself where it has none or none is given."""
+        """Return the form with the effect zero at a centre, itself where it has none."""
         if self.about is None or centre is None or centre == self.centre:
             return self
         return replace(self, perturbations=self.about(centre), centre=centre)
 
     def with_settings(self, settings: Mapping[str, float]) -> "Form":
-        """Return the form with settings of other runs, itself where they are no matter of the runs."""
+        """Return the form with settings of other runs, if any."""
         return self if self.at is None else replace(self, perturbations=self.at(settings), settings=dict(settings))
 
     @property
@@ -135,17 +131,16 @@ class Form:
         return np.array([p.typical for p in self.parameters])
 
 
-#: label, parameters and perturbations of a form
 Offer = tuple[str, tuple[Parameter, ...], Perturbations]
 
 
 class Effect(ABC):
     """A candidate cause. A new effect is a subclass in a file of its own and one line in the registry."""
 
-    #: where it comes from: the library, a column of the run table, ``campaign.toml``, or an installed package
+    #: the library, a column of the run table, ``campaign.toml``, or an installed package
     origin: ClassVar[str] = "the library"
     id: ClassVar[str]  #: name in verdicts
-    title: ClassVar[str]  #: what it is, for people, in a few words that fit into "the gap is explained by ..."
+    title: ClassVar[str]  #: a few words that fit into "the gap is explained by ..."
     #: what to suspect where the fitted size is beyond what is plausible; a clause
     implausible: ClassVar[str] = "another cause that looks alike"
     #: calibration effects that another zero point of this effect looks like (temperature from 20 degrees: the radii); a
@@ -155,7 +150,7 @@ class Effect(ABC):
     needs_calibration: ClassVar[bool] = False
     #: whether it is nothing at a known point (the model's reference load, no payload, a straight): then no shift is
     zero_known: ClassVar[bool] = False
-    family: ClassVar[Family] = Family.OWN  #: effects that act through the same thing
+    family: ClassVar[Family] = Family.OWN
     needs: ClassVar[str] = ""  #: what a campaign has to hold for the effect to show; a phrase
     separates: ClassVar[str] = ""  #: the runs that tell it from what looks alike; a phrase
     #: what a plain recalibration would change in its place; empty for all but the calibration's own
@@ -204,7 +199,7 @@ class Effect(ABC):
         return 1.0, ""
 
     def offer(self, offers: Sequence[Offer], *, by_parts: bool = False) -> list[Form]:
-        """Return a form for each of several labels, its parameters and perturbations; the search over them counts."""
+        """Return a form for each label, its parameters and perturbations; the search over them counts."""
         return [Form(self.id, *each, tries=len(offers), by_parts=by_parts) for each in offers]
 
 
@@ -220,7 +215,7 @@ def forms_on(observations: Observations, effects: Mapping[str, Effect], wanted: 
 
 
 def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, float]) -> Form | None:
-    """Return the form of a label, of several that with the nearest settings; None where there is none."""
+    """Return the form of a label, of several that with the nearest settings; else None."""
 
     def off(form: Form) -> float:
         return sum(abs(form.settings[key] - settings[key]) for key in form.settings.keys() & settings.keys())
@@ -278,7 +273,7 @@ class Proportional(Effect):
         return Centre.of(values)
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return the single form; none where the quantity is not known everywhere or does not vary."""
+        """Return the single form; none where the quantity is unknown or does not vary."""
         values = self.quantity(observations)
         return [self.form(values, self.acts_on)] if varies(values, self.same_within(values), observations) else []
 

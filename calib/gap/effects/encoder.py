@@ -123,7 +123,7 @@ class LostCounts(Effect):
                 v_0 = stated.get("speed_mps")
                 if v_0 is None:
                     return lambda path: [acting_on(path, side, ones)]
-                # step by step: a counter knows no mean of a run that reverses slowly, and a spin turns it as well
+                # step by step: slow reversing and spins turn a counter, too
                 return lambda path: [Perturbation(**{side: np.maximum(_wheel_mps(path.s, side) - v_0, 0.0)})]
 
             label, tries = f"{side} wheel, {label}", 2 * len(shapes)
@@ -169,10 +169,7 @@ _STRAIGHT_ANGLE_RAD: Final = 0.2
 
 
 class EncoderBlunder(Effect):
-    """Factors of 2, 4, 10, pi on one wheel or both, swapped wheels, a sign.
-
-    Such gaps are far from linear: `find_blunder` tries each blunder in full before the search; there are no forms.
-    """
+    """Factors of 2, 4, 10, pi on one wheel or both, swapped wheels, a sign: `find_blunder` tries each in full."""
 
     id = "encoder_gross"
     title = "a blunder of the encoders"
@@ -212,7 +209,7 @@ class Blunder:
 
     @property
     def factors(self) -> dict[str, float]:
-        """What the counts are multiplied by, as the parameters that a verdict and a coefficient file show."""
+        """The factors, as a verdict and a coefficient file show them."""
         return {"factor_left": self.left, "factor_right": self.right}
 
     @classmethod
@@ -252,10 +249,7 @@ def corrected(observations: Observations, fault: Blunder) -> Observations:
 
 
 def bad_runs(nominal: Path) -> dict[str, float]:
-    """Return the few runs that end off by a share of their length that no others come near, by id, each its share.
-
-    A counter that was reset or stood still, or a reference of another drive.
-    """
+    """Return the few runs that end off by a share of their length that no others come near, by id."""
     off, kind = misfit(nominal, by_kind=True), nominal.s.labels["kind"]
     order = np.argsort(-off, kind="stable")
     worst = off[order[: int(MOST_BAD_RUNS * len(off)) + 1]]
@@ -299,7 +293,7 @@ def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by
 
 
 def find_blunder(observations: Observations, nominal: Path) -> Blunder | None:
-    """Return the blunder that corrects the counts, None where the counts are roughly right or nothing helps."""
+    """Return the blunder that corrects the counts, None where they are roughly right or nothing helps."""
     if np.isfinite(observations.simulated).any():
         return None
     now = float(np.mean(misfit(nominal)))

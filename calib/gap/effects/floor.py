@@ -79,7 +79,7 @@ MAX_STRIPS: Final = 40
 MIN_RUNS_IN_CELL: Final = 3
 #: cosines of headings further apart are both ways: more than a right angle, by more than rounding
 BOTH_WAYS_COSINE: Final = 1.0 + 1e-6
-#: cells are numbered (lane, column, row) in one integer; a floor is smaller than this many cells either way
+#: of cells, numbered (lane, column, row) in one integer: a floor is smaller either way
 _GRID_WIDTH: Final = 2**16
 #: lane number of a strip across all lanes
 _STRIP_LANE: Final = -1
@@ -98,18 +98,13 @@ class FloorZone(Effect):
     by_place = True
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each strip and cell of about 2 m that some runs cross and others not, or cross otherwise.
-
-        A strip lies across the whole floor, as a joint does. Only runs with a log have a place; at least three have to
-        cross, and what tells runs apart best is kept.
-        """
+        """Return a form for each strip and cell of about 2 m that some runs cross and others not, or otherwise."""
         if not common_frame(observations) or np.count_nonzero(observations.from_log) < MIN_RUNS_IN_CELL:
             return []
         lane, far_end = lanes(observations), far_end_m(observations)
         places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()
 
         def place(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
-            """Return x (nowhere without a log), y and the cosine of the heading on the floor, as every cell asks."""
             if path not in places:
                 x, y = floor_place(path, path.s.here(far_end))
                 x[~path.s.from_log[path.s.unit]] = np.inf
@@ -197,7 +192,7 @@ def _grid(
 
 
 MAX_LANES: Final = 8
-#: a run that turns by more than this in all, to and fro, is no lane
+#: a run that turns by more in all is no lane
 MAX_LANE_TURN_RAD: Final = 2.5
 
 
@@ -249,10 +244,7 @@ class RearDrag(Effect):
     shifts = ("radius_scale", "unequal_radii")
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return a form for each wheel and sense; none where everything rolls and goes one way.
-
-        One sense of a wheel is the other with another radius: the one that leaves the radius alone is more probable.
-        """
+        """Return a form for each wheel and sense; none where everything rolls and goes one way."""
         backward = observations.total(np.where(observations.path_m < 0.0, -observations.path_m, 0.0))
         rolls_back, applied = bool((backward > LEAST_BACKWARD_M).any()), observations.applied
         # of each sense, the observations that have it; None where they have both, and steps tell
@@ -315,7 +307,6 @@ def _rolls_back(observations: Observations) -> BoolArray:
     return np.asarray(np.maximum(observations.travel_left_m, observations.travel_right_m) < 0.0)
 
 
-#: heading on the floor -> share by step
 _Share = Callable[[FloatArray], FloatArray]
 
 

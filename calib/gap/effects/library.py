@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from calib.coefficients.file import CoefficientFile
     from calib.coefficients.sections import EffectSection
 
-#: the effects of the library, in the order of listings; a new one is a class and a line here
+#: in the order of listings; a new one is a class and a line here
 EFFECTS: Final[tuple[type[Effect], ...]] = (
     radii.RadiusScale,
     radii.UnequalRadii,
@@ -95,25 +95,23 @@ EFFECTS: Final[tuple[type[Effect], ...]] = (
     radii.PathWeave,
     simulator.IntegrationScheme,
 )
-#: id -> class
 REGISTRY: Final = {effect.id: effect for effect in EFFECTS}
-#: origin of the registered effects
 LIBRARY: Final = Effect.origin
 #: smallest change of a channel (m or rad): no instrument resolves a micrometre
 UNCHANGED: Final = 1e-6
-#: a path on a floor plan is drawn apart by about this share of its extent
+#: of a floor plan's extent, by which a path is drawn apart
 DRAWN_SHARE: Final = 0.12
 #: largest factor by which an effect is enlarged for a floor plan
 MAX_ENLARGEMENT: Final = 200.0
 
 
 def effect_class(name: str) -> type[Effect]:
-    """Return the class of a registered effect; for any other id that of all, which says nothing in particular."""
+    """Return the class of a registered effect; `Effect` for any other id."""
     return REGISTRY.get(name, Effect)
 
 
 def title_of(name: str) -> str:
-    """Return the title of an effect by its id; the id in plain words where the effect is the user's own."""
+    """Return the title of an effect by its id; of the user's own the id in plain words."""
     if name in REGISTRY:
         return REGISTRY[name].title
     if name.startswith(SIMULATOR_PREFIX):
@@ -124,14 +122,14 @@ def title_of(name: str) -> str:
 
 
 def library(observations: Observations, *, exclude: Collection[str] = (), declared: object = ()) -> list[Effect]:
-    """Return the candidate effects of a campaign: of the library, of its further columns, and the user's own.
+    """Return the candidate effects of a campaign: of the library, of further columns, the user's own.
 
     Effects found before the search are no candidates, nor is a column that an effect acts through. `declared`: the
     ``[[effects]]`` tables of ``campaign.toml``.
     """
     registered, covariates, own = _all(observations, declared)
     taken = {column for effect in own if effect.id not in exclude for column in effect.columns}
-    # a counted drive shaft tells what the load does to the mean of both rear wheels
+    # a counted drive shaft tells what the load does to both wheels' mean
     told = Family.LOAD if observations.by_shaft else None
     hidden = [e for e in registered if observations.by_front and e.of_rear_wheels and e.family != told]
     searched = [e for e in registered if not (e.found_before_search or e in hidden)]
@@ -183,7 +181,7 @@ class EffectSignature:
     factor: float  #: enlargement over the typical size
 
     def rms_by_kind(self) -> dict[str, FloatArray]:
-        """Return the root mean square change of each channel, shape (n_channels,), by kind of run."""
+        """Return each channel's rms change (n_channels,), by kind of run."""
         kinds = self.enlarged.s.labels["kind"]
 
         def rms(square: FloatArray) -> FloatArray:
@@ -194,7 +192,7 @@ class EffectSignature:
 
 
 def signature_of(effect: Effect, nominal: Path) -> EffectSignature | None:
-    """Return the signature of an effect on the runs of a path; None where it has no form there."""
+    """Return an effect's signature on the runs of a path; None where it has no form there."""
     observations = nominal.s
     offered: list[tuple[float, Form, list[Perturbation], FloatArray]] = []
     for form in effect.forms(observations):
@@ -242,7 +240,7 @@ class Entry:
 
 
 def catalogue(nominal: Path, declared: object = (), only: Collection[str] = ()) -> list[Entry]:
-    """Return the effects that runs can be judged by, those of the ids `only` or all, in the order of `library`."""
+    """Return the effects that runs can be judged by, of the ids `only` or all, as in `library`."""
     every = every_effect(nominal.s, declared=declared)
     for name in only:
         if name not in every:
@@ -369,7 +367,7 @@ def applied_perturbations(
         chosen.append((section, form.with_settings(stated).centred_at(centre)))
     if path is not None:
         return _perturbations(chosen, path), notes
-    # what an effect does depends a little on the path that it itself bends
+    # an effect depends a little on the path that it bends
     about = predict(observations)
     for _ in range(2):
         about = predict(observations, _perturbations(chosen, about))

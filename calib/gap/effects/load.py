@@ -161,15 +161,14 @@ class LoadCreep(_OfLoad):
         minutes, now = observations.number("minutes_under_load"), observations.wheel_loads_N
         if not varies(minutes, 0.5, observations) or not np.isfinite(now).all():
             return []
-        # the middle of the run stands for the run: a tau of minutes hardly moves within it
+        # a tau of minutes hardly moves within a run
         t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0
-        # nothing creeps before the load is there
         t = np.maximum(t, 0.0)
         typical = 1.5e-6 * mean_radius_m(observations) * softness(observations)
         creep = Parameter("creep", "m/N", typical, largest=2e-5 / 1.5e-6 * typical, sign=1)
         parameters = tuple(replace(creep, name=name) for name in _sides(observations, "creep"))
         unladen = observations.vehicle.unladen_load_N
-        # the load before it (2, n_obs), from which the band creeps to the present one; None for the load itself, and
+        # the load before it (2, n_obs), from which the band creeps to the present one; None for the load itself
         creeps: list[tuple[str, FloatArray | None, Centre | None]] = [("whole load", None, None)]
         if loads_vary(observations):
             creeps.append(("load above the unladen", None, Centre(unladen)))
@@ -201,7 +200,6 @@ def _load_before_N(loads: FloatArray, first: float, same_N: float) -> FloatArray
 
 
 MAX_PAYLOADS: Final = 6
-#: effects that give the radii a slope, by id
 LOAD_LAWS: Final = (LoadRadius.id, LoadRadiusNonlinear.id)
 
 
@@ -246,7 +244,7 @@ class PayloadMass(_OfPayload):
             for value in values
         ]
         if together:
-            # one label may be mistyped; a scale that is off by more than a third is found out
+            # a scale that is off by more than a third is found out
             of_all = Parameter("share", "1", typical=0.1, largest=0.3)
             forms.append(form("all payloads", payload > 0.0, of_all, {}))
         return forms
@@ -293,7 +291,7 @@ class PayloadPosition(_OfPayload):
 
         def ahead(path: Path) -> list[Perturbation]:
             left_m, right_m = changed_m(path, wheelbase)
-            # the front wheel, of a mean slope, travels more for its counts, which the front channels subtract
+            # the front wheel, of a mean slope, travels more for its counts
             change_m = 0.5 * (left_m + right_m)
             readings = Perturbation.on_readings(
                 observations, front=-front_m * change_m, steering=-by_steering * change_m
@@ -301,7 +299,7 @@ class PayloadPosition(_OfPayload):
             return [replace(readings, left=-0.5 * left_m / radius_left, right=-0.5 * right_m / radius_right)]
 
         size, through = reach(observations), () if has_slopes else LOAD_LAWS
-        # what stands further off than a hand's width, on a vehicle of a metre, is seen
+        # what stands off by more than a hand's width is seen
         left = Parameter("further_left", "m", typical=3e-2 * size, largest=1.2e-1 * size)
         offers = [("sideways", left, sideways), ("lengthways", replace(left, name="further_ahead"), ahead)]
         return [Form(self.id, label, (one,), acts, tries=2, acts_through=through) for label, one, acts in offers]

@@ -15,20 +15,20 @@ from calib.types import ComplexArray, FloatArray
 
 #: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth
 MIN_TURN_RAD: Final = 0.1
-#: a turned reference keeps lengths; one that stretches them by more is another fault
+#: a turned reference keeps lengths: one that stretches them by more is another fault
 MAX_STRETCH: Final = 0.2
-#: a turn and a place are two unknowns of each run's two: with fewer runs they explain anything
+#: a turn and a place are unknown: with fewer runs they explain anything
 MIN_TURNED_RUNS: Final = 4
 #: what the angle leaves is less than this share of what it explains, and what bends the heading less than this of it
 TURN_RESIDUAL_SHARE: Final = 0.2
-#: by how much the end's heading may be off where none is measured: radii unequal by a hundredth, over ten tracks
+#: of an end's heading where none is measured: radii unequal by a hundredth, over ten tracks
 HEADING_ERROR_RAD: Final = 0.1
 MIRRORED: Final = 0.999  #: confidence at which the scatter of ends tells mirrored axes from turned ones
 
 
 @dataclass(frozen=True, slots=True)
 class TurnedReference:
-    """The angle by which the sensor's axes are turned against the vehicle's, beyond what the campaign states."""
+    """The angle by which the sensor's axes are turned, beyond what the campaign states."""
 
     effect = ReferenceYaw
     yaw_rad: float
@@ -70,7 +70,7 @@ class TurnedReference:
         return {"yaw": (value, (value - half, value + half), "rad")}
 
     def refined(self, turned_rad: float, sd_rad: float) -> "TurnedReference":
-        """Return the mounting whose positions a fit beside the other causes found turned by so much more."""
+        """Return the mounting turned by so much more, as a fit beside the other causes found."""
         return replace(self, yaw_rad=self.yaw_rad - turned_rad, sd_rad=sd_rad)
 
     def correct(self, campaign: Campaign) -> Campaign:
@@ -89,7 +89,7 @@ class TurnedReference:
 
 
 def find_turned(nominal: Path) -> TurnedReference | None:
-    """Return the large angle by which the reference is turned; None where there is none, or it explains too little.
+    """Return the large angle by which the reference is turned; None where it explains too little.
 
     A sensor at the place l on the vehicle and turned by psi sees the end z of a run that turned by theta as
     ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns; mirrored axes see the conjugate.
@@ -132,7 +132,7 @@ def find_turned(nominal: Path) -> TurnedReference | None:
 
 
 def _turn(end: ComplexArray, turned: ComplexArray, seen: ComplexArray) -> tuple[complex, float]:
-    # a place within a metre, ends good to some centimetres; without turns there is nothing to see of it
+    # a place within a metre, ends good to some centimetres
     columns, prior = np.stack([end, turned], axis=1), np.diag([1e-9, 1e-3])
     turn, place = np.linalg.solve(columns.conj().T @ columns + prior, columns.conj().T @ seen)
     return complex(turn), float(np.sum(np.abs(seen - turn * end - place * turned) ** 2))
@@ -167,7 +167,7 @@ class Restated:
 
 
 class DisplacedSensor(Restated):
-    """How far the sensor is from its stated place, where its positions alone tell the heading, too."""
+    """How far the sensor is from its stated place, where its positions tell the heading, too."""
 
     effect = ReferenceLeverArm
     label = ""
@@ -188,7 +188,7 @@ class DisplacedSensor(Restated):
 
 
 class LateReference(Restated):
-    """How old the reference's readings are, where its positions alone tell the heading, too."""
+    """How old the reference's readings are, where its positions tell the heading, too."""
 
     effect = ReferenceLatency
     label = ReferenceLatency.OF_POSE
@@ -224,5 +224,4 @@ RESTATED: Final[dict[str, tuple[type[DisplacedSensor | LateReference], slice]]] 
     ReferenceLatency.id: (LateReference, slice(2, 3)),
 }
 
-#: mistakes of the mounting, corrected before causes are sought
 Mounting = TurnedReference | DisplacedSensor | LateReference

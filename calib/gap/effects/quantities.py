@@ -1,8 +1,4 @@
-"""Quantities that effects share, and effects of those that are not in the library.
-
-Plausible sizes on a vehicle, speed, curvature, sessions, motion at the ends; columns of the run table, declared
-effects, classes by entry point.
-"""
+"""Quantities that effects share, and effects of columns, declarations and entry points."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -27,7 +23,7 @@ PAPER_RADIUS_M: Final = 0.1
 
 
 def softness(observations: Observations) -> float:
-    """Return by how much softer the wheels may be per newton, 1 or more: alike under the vehicle's own weight."""
+    """Return by how much softer the wheels may be per newton, 1 or more."""
     own_N = observations.vehicle.unladen_load_N
     return max(1.0, PAPER_LOAD_N / own_N) if own_N > 0.0 else 1.0
 
@@ -48,7 +44,7 @@ def loads_vary(observations: Observations) -> bool:
 
 
 def same_load_N(observations: Observations) -> float:
-    """Return the difference within which loads of a wheel are one load; not above 5 N, less on a light vehicle."""
+    """Return the difference within which loads of a wheel are one; at most 5 N."""
     return SAME_LOAD_N / softness(observations)
 
 
@@ -92,8 +88,7 @@ def sessions(observations: Observations) -> StrArray:
     apart = np.abs(at[:, :, None] - at[:, None, :]).max(axis=0) > same_load_N(observations)
     if min(runs) < MIN_RUNS_PER_LOAD and not apart[np.triu_indices(len(runs), 1)].all():
         return session
-    number = np.repeat(np.arange(1, len(lengths) + 1), lengths)
-    return np.array([f"stretch_{k}" for k in number])
+    return np.array([f"stretch_{k}" for k in np.repeat(np.arange(1, len(lengths) + 1), lengths)])
 
 
 def numbered_sessions(observations: Observations) -> tuple[IntArray, int]:
@@ -110,10 +105,7 @@ def session_steps(observations: Observations) -> list[tuple[str, FloatArray]]:
 
 
 def driven_speed_mps(observations: Observations) -> FloatArray:
-    """Return the speed of each observation as a mean over its path, shape (n_obs,); NaN where it is not known.
-
-    Not over time: an effect on the radii that is linear in speed sums up to this.
-    """
+    """Return each observation's speed as a mean over its path, not time, (n_obs,); NaN where unknown."""
 
     def mean(part: Observations) -> FloatArray:
         way = np.abs(part.path_m)
@@ -132,7 +124,7 @@ def curvature_per_m(observations: Observations) -> FloatArray:
 
 
 def path_curvature_per_m(path: Path) -> FloatArray:
-    """Return the curvature of each step of a path, as `curvature_per_m`: under the hypothesis, not by the model."""
+    """Return `curvature_per_m` of a path, under the hypothesis."""
     tightest = 2.0 / path.s.model.track_m
     return np.clip(path.s.curvature_of(path.steps.turn_rad, path.steps.ds_m), -tightest, tightest)
 
@@ -279,8 +271,7 @@ def covariate_columns(observations: Observations) -> tuple[str, ...]:
 #: group of entry points under which packages offer classes of effects
 ENTRY_POINT_GROUP: Final = "calib.effects"
 
-#: what a declared effect acts on -> unit of its size per unit of the column, and the calibration that a shift of its
-#: zero looks like
+#: what a declared effect acts on -> unit of its size per unit of the column, and what a shift of its zero looks like
 ACTS_ON: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
     "left": ("1", ("radius_scale", "unequal_radii")),
     "right": ("1", ("radius_scale", "unequal_radii")),

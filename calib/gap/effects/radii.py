@@ -1,7 +1,4 @@
-"""Radii and track off by what a plain recalibration absorbs, or drifting with temperature, use, session or speed.
-
-And what seems to be of the radii: skids at stops, a path that weaves.
-"""
+"""Radii and track off by what a recalibration absorbs, or drifting; skids at stops, a path that weaves."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -108,7 +105,6 @@ DIRECTIONS: Final = np.array([effect.calibration_direction for effect in _OWN])
 OF_WHEELS: Final = np.linalg.inv(DIRECTIONS[:, :3].T)
 #: typical size of each, shape (3,)
 TYPICAL: Final = np.array([effect.parameter.typical for effect in _OWN])
-#: what a plain recalibration would change, by effect
 HIDES_IN: Final = {effect.id: effect.hides_in for effect in _OWN}
 
 
@@ -352,7 +348,7 @@ class PathWeave(Effect):
             noted[weaves] = whole_period_excess(amplitude[weaves], wavelength[weaves])
         outside = observations.from_log & np.isfinite(observations.simulated[:, :2]).any(axis=1)
         logged = np.where(outside, _weave_of_logs(observations), 0.0) if outside.any() else np.zeros(len(observations))
-        # nobody measured the heading, and every run ends at one place of its wave, but not that where it began
+        # unmeasured headings: every run ends at one place of its wave, but not that where it began
         guided = weaves & observations.guided
         swing = np.zeros(len(observations))
         swing[guided] = 2.0 * np.pi * amplitude[guided] / wavelength[guided]

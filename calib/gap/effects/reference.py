@@ -157,7 +157,6 @@ class ReferenceYaw(Effect):
     family = Family.REFERENCE
     needs = "end positions"
     separates = "straight runs of several lengths"
-    #: label of the form that leaves the heading as it is
     OF_POSITION: ClassVar[str] = "position alone"
 
     def forms(self, observations: Observations) -> list[Form]:
@@ -190,7 +189,6 @@ class ReferenceScale(Effect):
     needs = "end positions beside distances by another instrument or a front wheel"
     separates = "a length taped on the floor, against the reference"
     needs_calibration = True
-    #: label of the form whose scale changes as the radii of wheels would
     WITH_TEMPERATURE: ClassVar[str] = "with the temperature"
 
     def forms(self, observations: Observations) -> list[Form]:
@@ -239,7 +237,6 @@ class ReferenceLatency(Effect):
     family = Family.REFERENCE
     needs = "readings taken while it rolls"
     separates = "readings after the stop beside readings on the move"
-    #: label of the form of end poses alone, and of that whose delay grows
     OF_POSE: ClassVar[str] = "end pose"
     OF_CLOCK: ClassVar[str] = "a clock at another rate"
     DELAY: ClassVar[str] = "latency"

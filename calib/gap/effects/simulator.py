@@ -23,11 +23,11 @@ _ROUNDING: Final = 1e-6
 _PROMISED_SHARE: Final = 0.2
 #: wheels are followed in proportion to a quantity, or alike in a run, where the first step promises to leave no more
 _FOLLOWS_SHARE: Final = 0.01
-#: radii and track alike in all runs that leave less than this share are all that there is to a change
+#: radii and track alike in all runs that leave a smaller share are all of a change
 _ALL_BUT: Final = 1e-4
 #: wheels carry a change where they leave no more than this share of its squares
 _LEFT_SHARE: Final = 0.1
-#: a remainder is more than the simulator's noise where noise exceeds it less often than this
+#: a remainder that noise exceeds less often is no noise
 _NOISE_TAIL: Final = 1e-3
 #: a channel repeats itself within this share of an instrument's stated uncertainty
 _REPEATED_SHARE: Final = 0.02
@@ -56,7 +56,7 @@ class Carried:
 
 
 class SimulatorParameter(Effect):
-    """A parameter of the simulator is off: the change of the readings is what the simulator showed for a step of it.
+    """A parameter of the simulator is off: readings change as a step of it showed.
 
     `parameter`: sizes are its deviation from the nominal value; `carried`: what it does on the runs driven; `family`:
     that of the library's effect that it stands for.
@@ -99,7 +99,7 @@ class _Basis:
 
 
 class WheelMotion:
-    """What wheels that are off do to the ends of runs: the motion in what a simulator's parameters change.
+    """What wheels that are off do to the ends of runs.
 
     `noise`: (n_obs, 4), of a change of (distance, x, y, heading); zero where the simulator repeats itself.
     """
@@ -127,11 +127,8 @@ class WheelMotion:
     def carried(self, change: FloatArray, step: float, *, both_ways: bool = False) -> Carried:
         """Split what a step of a parameter changed, (n_obs, 4) as `Carried.reading`, into motion and readings.
 
-        `both_ways`: the change is half of what lies between a step up and one down.
-
-        What wheels do bends the path and is not linear. It is sought as radii and track off alike in all runs, or in
-        proportion to a quantity of the runs, then as wheels off in each run; what explains little is omitted. Of a
-        noisy change the first that leaves no more than noise is taken: few numbers hold little of it.
+        `both_ways`: the change is half of what lies between a step up and one down. What wheels do is sought in few
+        numbers first: of a noisy change the first that leaves no more than noise is taken.
         """
         from scipy.special import chdtrc
 
@@ -194,7 +191,7 @@ def in_end_frame(path: Path, change: FloatArray) -> FloatArray:
 
 
 def as_simulated(observations: Observations, noise: FloatArray | float = 0.0) -> Observations:
-    """Return the observations with wheels that travel as an outside simulator's do, as far as its ends tell.
+    """Return the observations with wheels that travel as an outside simulator's do, by its ends.
 
     What bends a path is not linear: it is taken about the simulator's path, not the model's, nor its `noise`'s.
     """

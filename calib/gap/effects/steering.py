@@ -10,32 +10,31 @@ from calib.gap.observations import Channel, Observations
 from calib.kinematics.blunders import still_steering, straight_reading_rad
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: an angle is judged beside an offset of its zero up to here: of 0.5 rad a play was named beside it, of 1.6 another
-#: cause altogether
+#: an angle is judged beside a smaller offset of its zero: beside 0.5 rad a play was named, at 1.6 another cause
 FARTHEST_STRAIGHT_RAD: Final = 0.35
 
 
 def has_front(observations: Observations) -> BoolArray:
-    """Return which observations have the front wheel's counts and steering angle, shape (n_obs,)."""
+    """Return which observations have front counts and steering angle, (n_obs,)."""
     if observations.by_front:
         return np.isfinite(observations.total(observations.front_roll_rad + observations.steer_rad))
     return observations.usable[:, Channel.STEERING]
 
 
 def front_travel_m(observations: Observations) -> FloatArray:
-    """Return the front wheel's travel of each step, 0 where it was not logged, shape (n_steps,)."""
+    """Return the front wheel's travel of each step, 0 where not logged, (n_steps,)."""
     logged = has_front(observations)[observations.unit]
     roll_rad = np.where(logged, np.nan_to_num(observations.front_roll_rad), 0.0)
     return roll_rad * observations.model.steered(observations.vehicle).radius_m
 
 
 def front_turn_rad(observations: Observations) -> FloatArray:
-    """Return the turn of each step by the front wheel, 0 where it was not logged, shape (n_steps,)."""
+    """Return each step's turn by the front wheel, 0 where not logged, (n_steps,)."""
     return front_travel_m(observations) * observations.steer_sin / observations.vehicle.wheelbase_m
 
 
 def steer_rad(observations: Observations) -> FloatArray:
-    """Return the logged steering angle of each step, 0 where it was not logged, shape (n_steps,)."""
+    """Return each step's logged steering angle, 0 where not logged, (n_steps,)."""
     return np.nan_to_num(observations.steer_rad)
 
 
@@ -99,7 +98,7 @@ class SteeringZero(Effect):
 
 
 def steering_blunder(observations: Observations) -> str:
-    """Return what is wrong with an angle that no vehicle steers by; empty where it is right or drives no odometry."""
+    """Return what is wrong with an angle that no vehicle steers by; empty where it is right or unused."""
     headed = observations.usable[:, Channel.HEADING] & has_front(observations)
     if not observations.by_front or not headed.any():
         return ""
@@ -188,7 +187,7 @@ class SteeringBacklash(Effect):
         # only a clear turn has a side: near zero the sign is noise
         by_side = np.where(np.abs(angle) > TURN_ANGLE_RAD, np.sign(angle), 0.0)
         noise = _noise_rad(observations, angle)
-        # a coarse sensor does not tell noise, zero and small corrections apart: there a turn alone is a move
+        # a coarse sensor does not tell noise and small corrections apart: there a turn alone is a move
         band = STILL_ANGLE_RAD if 6.0 * noise < STILL_ANGLE_RAD else max(TURN_ANGLE_RAD, 6.0 * noise)
         moved = np.where(np.abs(angle) > band, angle, 0.0)
         wheel = _wheel_rad(observations, angle)
@@ -215,7 +214,7 @@ def _noise_rad(observations: Observations, angle: FloatArray) -> float:
 
 
 def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
-    # as the rear wheels' turn tells, by a line through the headings to either side, less the median on the straight;
+    # by a line through the rear wheels' headings to either side, less the median on the straight;
     # NaN where the vehicle hardly moves
     steered = np.concatenate([_bend_rad(part) for part in observations.parts()])
     straight = (np.abs(angle) < TURN_ANGLE_RAD) & np.isfinite(steered)
@@ -265,8 +264,7 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
     return np.nan_to_num((angle - through[step, observations.unit]) * (play / wide))
 
 
-#: delays tried beside a short one, which moves along the tangent: on a corner's ramps the shape of 0.27 s scaled to 0.3
-#: s is off by a tenth, its tangent by half
+#: delays tried beside a short one, the tangent: scaled from 0.27 to 0.3 s a shape is off by a tenth, that by half
 DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
 
 

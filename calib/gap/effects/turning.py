@@ -28,7 +28,7 @@ from calib.gap.observations import POSE, Observations
 from calib.gap.predict import Path
 from calib.types import GRAVITY_MPS2, FloatArray
 
-#: what slip of the typical size makes of a run is not seen below this
+#: what typical slip makes of a run is not seen below
 LEAST_SLIP_M: Final = 1e-4
 
 
@@ -53,7 +53,7 @@ class CurveLoadTransfer(Effect):
 
         def perturbations(path: Path) -> list[Perturbation]:
             s = path.s
-            # the curvature counts turn per distance, unsigned: rolling backward, the same turn pulls to the other side
+            # rolling backward, the same turn pulls to the other side
             pull_mps2 = s.speed_mps * np.abs(s.speed_mps) * quantities.curvature_per_m(s)
             moved_N = s.weight_N[s.unit] * pull_mps2 * s.vehicle.cog_z_m / (GRAVITY_MPS2 * s.model.track_m)
             return [Perturbation(left=-moved_N / s.radius_left_m[s.unit], right=moved_N / s.radius_right_m[s.unit])]
@@ -91,10 +91,7 @@ class LoadDependentTrack(Effect):
 
 
 class SideSlip(Effect):
-    """A slip angle -K v^2 kappa, as tyres have, or, as what slides does, -K v kappa: by the lateral acceleration too.
-
-    A step of ds moves -K v^2 kappa ds, or -K v kappa ds, to the left: e_n ~ v^2 theta or v theta.
-    """
+    """A slip angle -K v^2 kappa, as tyres have, or -K v kappa, as what slides does: by the lateral acceleration too."""
 
     id = "side_slip"
     title = "side slip of the rear axle in fast turns"
@@ -143,7 +140,7 @@ class CurveScrub(Effect):
 
         Tyres that twist on the spot scrub where those that roll do not; it counts as a turn about a rear wheel.
         """
-        # up to 3 % in a turn of the vehicle's own length; of either sign: tracks of real robots narrow in turns, too
+        # up to 3 % in a turn of the vehicle's own length; tracks of real robots narrow in turns, too
         size = quantities.reach(observations)
         parameters = (Parameter("widening", "m", typical=1.5e-2 * size, largest=1.5e-1 * size),)
 
@@ -175,10 +172,7 @@ class WheelSlip(Effect):
     separates = "the same way at a gentle and at a hard acceleration"
 
     def forms(self, observations: Observations) -> list[Form]:
-        """Return forms in proportion to a and to its square, for both and for speeding up alone.
-
-        None where both wheels are free. The square: tyres that hold until their grip is nearly used up.
-        """
+        """Return forms in proportion to a and to its square, for both and for speeding up alone."""
         if observations.vehicle.drive not in ("differential", "skid"):
             return []
         # a tenth at 1 m/s2 is a tyre at a tenth of its grip
@@ -234,7 +228,7 @@ class DriveSlip(Effect):
         acceleration = rate_per_s(observations, np.abs(observations.speed_mps), 2)
         speeding = np.maximum(acceleration, 0.0)
         front = front_travel_m(observations)
-        # a driven wheel turns too much, never too little; a share common to all runs may be the radius, off either way
+        # a driven wheel turns too much, never too little; a share common to all runs may be the radius
         weight_varies = float(np.ptp(_over_mean(observations.weight_N))) > 1e-9
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
         common = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)
@@ -245,10 +239,9 @@ class DriveSlip(Effect):
         both = (per_acceleration, rolling)
         # a run from rest to rest gains and loses the same by acceleration and braking
         gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        # where the driven wheel drives the odometry, a share in all runs alike is its radius, and so is one that
-        # follows the load: rubber gives way by more than it slips when it rolls steadily
+        # where it drives the odometry, a share alike in all runs is its radius, as is one that follows the load: rubber
+        # gives way by more than it slips
         share_shows = not observations.by_front
-        # label, the force (None where the load does nothing), the parts that correlate with it, their parameters
         slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
         for name, force in _forces_N(observations).items():
             if gains:

@@ -3,13 +3,13 @@
 from math import log
 from typing import Final
 
-#: chance that a true cause fails a test, or steps pass for one: as usual, and as of every stated interval and set
+#: chance that a true cause fails a test, or steps pass for one: as of every stated interval and set
 FALSE_REJECTION: Final = 0.05
 CONFIDENCE: Final = 1.0 - FALSE_REJECTION
 #: more likely than not
 EVEN_PROBABILITY: Final = 0.5
-#: as much is explained as remains: where certainly less, causes imitate the unexplained one (in 8 of 8 verdicts of
-#: opened sets, 2 of 3 on altered recordings)
+#: as much is explained as remains: where certainly less, causes imitate the unexplained one (in 8 of 8 opened sets, 2
+#: of 3 altered recordings)
 HALF_CLOSURE: Final = 0.5
 
 #: least probability of a reported gap: an all-clear beside a gap costs 2.3 times a false alarm
@@ -25,8 +25,8 @@ CERTAIN_PROBABILITY: Final = 1.0 - NAMED_PROBABILITY
 
 #: least probability that all causes of a fix are at work: a wrong one costs 1.5 times one withheld
 FIX_PROBABILITY: Final = 0.6
-#: and of a cause beside the largest: without it the fix loses little, with a wrong one its trust. Of 17 fixes whose
-#: causes all had 0.6 to 0.8 in 1,792 cases 8 were wrong, none of the 10 with one cause
+#: and of a cause beside the largest: of 17 fixes whose causes all had 0.6 to 0.8 in 1,792 cases 8 were wrong, none of
+#: the 10 with one cause
 FURTHER_PROBABILITY: Final = 0.8
 #: causes are ordered by these classes of probability, then by signal: finer differences are chance
 PROBABILITY_CLASSES: Final = (REPORTED_GAP_PROBABILITY, FIX_PROBABILITY, FURTHER_PROBABILITY)

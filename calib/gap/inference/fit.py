@@ -25,7 +25,7 @@ _MAX_HALVINGS: Final = 10
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
-#: standard uncertainties of a far step: some hundredths of it, which the path moves effects by, are a third of one
+#: standard uncertainties of a far step: the path moves effects by a third of one
 _FAR_STEP: Final = 10.0
 #: chance that noise alone passes for a recalibration
 BY_CHANCE: Final = 0.001
@@ -126,7 +126,7 @@ def path_after(
 
 
 def recalibration_columns(path: Path) -> FloatArray:
-    """Return the derivative by a recalibration of unit prior variance, (n_units, 6, 4); zero where it is held."""
+    """Return the derivative by a recalibration of unit prior variance, (n_units, 6, 4)."""
     return path.calibration * (0.0 if path.s.calibration_held else CALIBRATION_SD)
 
 
@@ -271,8 +271,7 @@ def linear_rest(fitted: Fitted, noise: Noise) -> float:
 def whitened_rows(path: Path, noise: Noise, columns: FloatArray, units: slice = slice(None)) -> FloatArray:
     """Whiten columns (n_units, 6, k); usable rows end to end, (n_rows, k)."""
     usable = path.s.usable[units]
-    masked = np.where(usable[:, :, None], columns, 0.0)
-    whitened: FloatArray = (noise.whitener[units] @ masked)[usable]
+    whitened: FloatArray = (noise.whitener[units] @ np.where(usable[:, :, None], columns, 0.0))[usable]
     return whitened
 
 
@@ -296,10 +295,7 @@ def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
 
 
 def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int, slice, FloatArray]]:
-    """Yield form number, observations and their signatures times typical sizes, (n, 6, n_parameters).
-
-    Each part of the path is visited once.
-    """
+    """Yield form number, observations and their signatures times typical sizes, (n, 6, n_parameters)."""
 
     def columns(part: Path, form: Form, pushes: Sequence[Perturbation]) -> FloatArray:
         signatures = [signature(part, push) * size for push, size in zip(pushes, form.typical, strict=True)]
@@ -320,7 +316,7 @@ def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int,
 
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:
-    """Return the parameters whose interval holds zero and reaches beyond what is plausible on both sides.
+    """Return the parameters whose interval holds zero and reaches beyond the plausible on both sides.
 
     `parameters`: of one effect; `sizes`, `half_width`: (n_parameters,), of the intervals.
     """
@@ -334,7 +330,7 @@ def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width:
 def identifiability_message(
     parameters: Sequence[Parameter], sizes: FloatArray, covariance: FloatArray, coverage: float
 ) -> str:
-    """Say which of an effect's parameters the runs leave undetermined or determine only together; else empty.
+    """Say which of an effect's parameters the runs leave open or determine only together; else empty.
 
     `coverage`: half an interval over its standard uncertainty.
     """

@@ -17,7 +17,6 @@ from calib.gap.observations import Observations
 from calib.gap.predict import Path, residuals
 from calib.types import BoolArray, FloatArray
 
-#: columns of a recalibration
 N_CALIBRATION: Final = 4
 #: keeps a covariance positive definite, relative to its diagonal
 _ROUNDING: Final = 1e-11
@@ -274,8 +273,7 @@ class Weighting:
 def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weighting) -> Fitted:
     """Return a hypothesis fitted in the linear model about a path, and re-simulated.
 
-    A step that leaves more than twice what was left before, and than it was to leave, is halved. The calibration stays
-    the model's own where it promises no more than noise may: see `recalibrate`.
+    The calibration stays the model's own where it promises no more than noise may: see `recalibrate`.
 
     `model`: numbers of forms; `weighting`: lack of fit, and what effects may deviate by.
     """
@@ -395,6 +393,6 @@ class HeldOutFit:
         return fitting.squares_by_unit(self.fitted.path, self.noise, residuals)
 
     def spread(self, change: FloatArray, units: BoolArray) -> float:
-        """Return the gap's standard deviation along a change of some units' readings."""
+        """See `Weighting.spread`."""
         white = whitened(self.fitted.path, self.noise, change)
         return self.weighting.spread(white[self.weighting.system.blocks.order], units)

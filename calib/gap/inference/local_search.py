@@ -19,7 +19,6 @@ from calib.types import BoolArray, FloatArray
 
 #: forms of an effect kept beside the best
 _FORMS_PER_EFFECT: Final = 2
-#: steps of one pass
 _MAX_STEPS: Final = 24
 #: log-evidence window of scales of the lack of fit weighed while stepping
 _ACTIVE_WINDOW: Final = 9.0
@@ -44,7 +43,7 @@ Model = tuple[int, ...]
 
 
 class LocalSearch:
-    """One linearisation: forms kept, the current hypothesis, and sums under its deviations."""
+    """One linearisation: forms kept, the hypothesis, and sums under its deviations."""
 
     def __init__(self, whole: LinearSystem) -> None:
         fitted, self.largest_scale = whole.fitted, np.inf
@@ -128,8 +127,7 @@ class LocalSearch:
         priors = FormPriors.from_forms(own.forms)
         weightings = []
         for share in _DEVIATION_SHARES if self.current else (1.0,):
-            deviations = share * full_deviations
-            sums = own.sums(deviations)
+            sums = own.sums(share * full_deviations)
             weight = log_weights(sums, priors, [model])[:, 0]
             best = int(np.argmax(weight))
             weightings.append((float(weight[best]), int(sums.kind[best]), float(sums.scale[best]), share))
@@ -228,7 +226,7 @@ class LocalSearch:
         return models, _total(self.weigh(models, self.active()))
 
     def make_current(self, model: Model) -> None:
-        """Take a model as the current one, new effects at fitting sizes."""
+        """Take a model as the current one."""
         active = self.active()
         weight = self.weigh([model], active)[:, 0]
         share = np.exp(weight - weight.max())
@@ -243,8 +241,7 @@ class LocalSearch:
         models: dict[Model, None] = dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(self.current))
         self.current = tuple(sorted(self.current))
         listed = list(models)
-        value = _total(self.weigh(listed, self.active()))
-        for place in np.argsort(-value)[1:_EXPANDED_MODELS]:
+        for place in np.argsort(-_total(self.weigh(listed, self.active())))[1:_EXPANDED_MODELS]:
             models.update(dict.fromkeys(tuple(sorted(m)) for m in self.neighbours(listed[int(place)])))
         listed = list(models | {(): None})
         return listed, self.weigh(listed)
@@ -282,7 +279,7 @@ class SearchResult:
     rest: float  #: probability of a lack of fit
     weighting: Weighting  #: beside the best hypothesis
     nothing: float  #: probability of neither an effect nor a lack of fit, recalibration free
-    #: and then of each set of calibration parameters off, (n_subsets,); none off where that is unlikely
+    #: and of each set of calibration parameters off, (n_subsets,)
     beside_nothing: FloatArray
     gains: FloatArray  #: of no effect, see `weigh_subsets`
 

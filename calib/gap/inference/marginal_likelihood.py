@@ -11,9 +11,8 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: degrees of freedom of the noise level before the gap is looked at
 FLOOR_DOF: Final = 20.0
-#: hypotheses weighed at a time
 _BATCH_SIZE: Final = 400
-#: entries of their scalar products at a time: 1 MB stays in the cache
+#: entries of scalar products at a time: 1 MB stays in the cache
 _BATCH_ENTRIES: Final = 2**17
 #: classes of width, in columns
 _WIDTH_CLASSES: Final = (0, 1, 2, 3, 4, 6, 8, 12, 20, 40, 80)
@@ -217,7 +216,7 @@ def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: Int
 
 
 def prior_scale(sizes: FloatArray, owner: IntArray, columns: FormPriors, index: IntArray) -> FloatArray:
-    """Return each column's prior scale: its form's rms size without shifts, from a tenth to what is plausible."""
+    """Return each column's prior scale: its form's rms size, from a tenth to what is plausible."""
     most = columns.most[index]
     alike = (owner[:, :, None] == owner[:, None, :]) * columns.own[index][:, None, :]
     alike /= np.maximum(alike.sum(axis=2, keepdims=True), 1.0)

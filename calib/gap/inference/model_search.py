@@ -42,7 +42,7 @@ _TRIAL_STEPS: Final = 4
 #: of these, before trials are dropped that leave so many times the squares of the best
 _FIRST_STEPS: Final = 2
 _HOPELESS: Final = 100.0
-#: and those whose linear fit leaves so many times what the best has left; also of sets moved to
+#: and those whose linear fit leaves so many times what the best has left
 _OUTDONE: Final = 2.0
 #: share of the promise within which no further step is taken
 _SETTLED_SHARE: Final = 0.02
@@ -151,16 +151,13 @@ def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:
 
 def is_far(fitted: Fitted) -> bool:
     """Return whether too much is left for the linear model about this path."""
-    n_rows = int(fitted.path.s.usable.sum())
-    return fitted.chi_square > n_rows * _FAR_RMS**2
+    return fitted.chi_square > int(fitted.path.s.usable.sum()) * _FAR_RMS**2
 
 
 def continuation_start(system: LinearSystem) -> Fitted:
     """Return a hypothesis near which the gap is linear: the system's, effects added one by one as they fit.
 
-    The system's own where it is not far off, or no effect takes half of it away.
-
-    `system`: about the path of the recalibration alone, with the forms on offer.
+    `system`: about the path of the recalibration alone, with the forms on offer; its own where it is not far off.
     """
     fitted, nominal, noise = system.fitted, system.nominal, system.noise
 
@@ -273,7 +270,7 @@ def _near(moved: _Settled, left: Fitted) -> _Settled | None:
     return moved if fitted.chi_square <= most else None
 
 
-#: a set fitted from another one's fit, None where that runs away; models weighed about one; a set with these
+#: a set fitted from another one's fit, None where that runs away; models weighed; a set with these
 _Settle = Callable[[LocalSearch, Fitted], _Settled | None]
 _Weigh = Callable[[LocalSearch], _WeighedModels]
 _Found = tuple[LocalSearch, Fitted, _WeighedModels]
@@ -332,7 +329,7 @@ def _step(before: Fitted, after: Fitted) -> float:
 
 
 def _best_alternative(found: _Found, settle: _Settle, weigh: _Weigh) -> _Found:
-    """Return the best of a set and of likely ones with another effect in place of one, each about its own path.
+    """Return the best of a set and of likely ones with one effect replaced, each about its own path.
 
     In a large gap linearising about another's path errs by more than evidence weighs.
     """

@@ -1,8 +1,4 @@
-"""The noise of each run: its covariance over the channels, and what supports it.
-
-A sum of components, whose scales are estimated from replicates, beside a mean in each channel and a calibration of
-each group. That of windows is checked by its growth with length.
-"""
+"""The noise of each run: its covariance over the channels, and what supports it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -39,13 +35,11 @@ REPORTED_EXCESS: Final = 4.0
 STATED_EXCESS: Final = 2.0
 #: a larger one may exceed what grows as noise does by this factor
 MAX_GROWTH_RATIO: Final = 2.0
-#: log of how much likelier repeats may be by their own noise level than by that of routes (2 of 58 sound campaigns are)
+#: log of how much likelier repeats may be by their own noise level than by routes' (2 of 58 sound campaigns are)
 MAX_LOG_RATIO: Final = 4.6
 #: windows joined to a longer one
 JOINED_WINDOWS: Final = (1, 2, 4, 8)
-#: fewest windows of a length
 MIN_WINDOWS: Final = 4
-#: channels of a pose
 POSE_CHANNELS: Final = slice(1, 4)
 
 
@@ -60,7 +54,7 @@ class Basis(StrEnum):
     NOTHING = "nothing: nothing was driven twice, and the sigmas were assumed"
 
 
-#: basis, labels (n_units,) that units share which are compared, trends between these that are no noise, and least dof
+#: basis, labels (n_units,) of units that are compared, trends between these that are no noise, least dof
 _NoiseSupport = tuple[Basis, IntArray, FloatArray | None, float]
 
 
@@ -76,7 +70,7 @@ def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
     yield near, beside, components.session_steps(path), enough
     yield near, beside, None, enough
     if not observations.windowed:
-        # few repeats leave the scales open by a factor of three: routes tell more, unless repeats contradict them
+        # few repeats leave the scales open by a factor of three: routes tell more
         loads = components.load_speed_trends(path)
         for laws, least in ((components.route_trends(path), enough), (loads, ENOUGH_DOF)):
             yield Basis.ROUTE, observations.kind, np.concatenate([laws, trends], axis=2), least
@@ -102,7 +96,7 @@ class Noise:
     scales: dict[str, float]
     dof: float  #: from replicates, else 0
     weight: FloatArray  #: shape (n_units,): 1, less far from the repeats
-    supported: bool = True  #: whether the runs support a noise level
+    supported: bool = True
     support: str = ""  #: by what, in words; else why not
     #: shape (6,): median noise level over that of stated sigmas and typical walks; NaN without the channel
     excess: FloatArray = field(default_factory=lambda: np.full(6, np.nan))
@@ -135,10 +129,7 @@ class Noise:
 def estimate_noise(path: Path, gap: FloatArray) -> Noise:
     """Estimate the noise from replicates.
 
-    The first basis that supports a floor is taken, see `_noise_supports`, else the first with the degrees of freedom,
-    at last the stated sigmas. Scales not determined keep their prior.
-
-    `gap`: (n_units, 6), measured minus predicted about `path`.
+    `gap`: (n_units, 6), measured minus predicted about `path`; scales not determined keep their prior.
     """
     shapes = components.NoiseComponents.about(path)
     first, prior = None, np.log(components.PRIOR_MEDIANS)

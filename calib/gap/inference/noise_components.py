@@ -14,8 +14,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 #: (name, prior median of the standard deviation's scale, prior spread of its natural logarithm)
 COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
     ("distance", 1.0, 0.4),  # times the rangefinder's stated sigma
-    # times the reference's: that of positions, of cameras, markers and mounting at once, may be off by a factor of two;
-    # turns would take that of headings for noise of their own
+    # times the reference's: of positions it may be off by a factor of two; turns would take that of headings for theirs
     ("position", 1.0, 0.7),
     ("heading", 1.0, 0.4),
     ("heading_walk", 2e-4, 1.0),  # rad per sqrt(m)
@@ -125,8 +124,7 @@ def _fixed_noise(path: Path) -> FloatArray:
 
 def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
     """Give missing channels unit variance and no correlation."""
-    both = usable[:, :, None] & usable[:, None, :]
-    kept = np.where(both, covariance, 0.0)
+    kept = np.where(usable[:, :, None] & usable[:, None, :], covariance, 0.0)
     index = np.arange(N_CHANNELS)
     kept[:, index, index] = np.where(usable, np.maximum(kept[:, index, index], 1e-18), 1.0)
     kept[:, index, index] *= 1.0 + 1e-9
@@ -174,7 +172,7 @@ class NoiseComponents:
         return np.asarray(0.5 / np.maximum(spread, 1e-9))
 
     def select(self, units: IntArray) -> "NoiseComponents":
-        """Return the shapes of some units."""
+        """Return those of some units."""
         kernels = np.ascontiguousarray(self.kernels[:, units])
         return NoiseComponents(kernels, self.fixed[units], self.usable[units], self.active)
 

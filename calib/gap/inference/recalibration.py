@@ -203,7 +203,7 @@ class Recalibration:
     #: most probable subset, beside an effect its likely substitutes counted with it; if empty, all likelier off than
     #: not, if the runs show them
     likeliest: tuple[str, ...] = ()
-    #: the same where no effect is named and something has to be off: that beside the best hypothesis, or the next
+    #: the same where no effect is named and something has to be off
     needed: tuple[str, ...] = ()
 
     def probability(self, name: str) -> float:
@@ -263,7 +263,7 @@ def judge_recalibration(search: SearchResult, shifts: Mapping[str, tuple[str, ..
 def _with_substitutes(
     search: SearchResult, weighed: Sequence[tuple[float, FloatArray]], instead: Mapping[str, tuple[str, ...]]
 ) -> tuple[int, ...]:
-    # each of several aliases of a parameter takes a part of its probability, though one of them is at work
+    # each alias of a parameter takes a part of its probability
     own, beside_own = {*search.effects}, weighed[0][1]
     total, aliases = beside_own.copy(), own.union(*instead.values())
     for (model, weight), (_, probability) in zip(search.alternatives, weighed[1:], strict=True):

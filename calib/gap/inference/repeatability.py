@@ -16,10 +16,8 @@ from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray, IntArray
 
 PRIOR_SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
-#: of the logs of scales
 SCALE_BOUNDS: Final = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(PRIOR_MEDIANS), PRIOR_SPREADS, strict=True)]
-#: of normal noise beyond which units weigh less: weights within its reach would let squares of what repeats share
-#: exceed their floor by a seventh or more
+#: of normal noise beyond which units weigh less: within it squares would exceed their floor by a seventh or more
 OUTLIER_PROBABILITY: Final = 0.05
 #: most units that scales are found from: known to a few per cent
 MAX_REPLICATES: Final = 480

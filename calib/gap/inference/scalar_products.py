@@ -20,7 +20,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 SCALE_CHOICE_COST: Final = float(np.log(4.0))
 #: prior odds of one more effect at work
 FURTHER: Final = 0.5
-#: prior odds of a lack of fit: at three times these it made two thirds of the false alarms, at these a third
+#: prior odds of a lack of fit, which makes a third of the false alarms; two thirds at three times these
 PRIOR_REST: Final = 0.05
 #: a form of more columns stands apart
 WIDE_FORM: Final = 24
@@ -77,8 +77,8 @@ class FormPriors:
     def from_forms(forms: Sequence[Form]) -> "FormPriors":
         """Make it of forms.
 
-        Every number of effects is less likely than one fewer by the same odds, and of so many every set is as likely.
-        Scott, Berger: Bayes and empirical-Bayes multiplicity adjustment, Annals of Statistics 38 (2010), 2587-2619.
+        One effect more is less likely by the same odds; of so many every set is as likely (Scott and Berger, Annals of
+        Statistics 38 (2010) 2587).
         """
         n_effects = len({form.effect for form in forms})
         layout = Layout.of(forms)
@@ -95,7 +95,7 @@ class FormPriors:
         return FormPriors(tuple(forms), layout, most, sign, own, log_prior, by_count, is_law)
 
     def index(self, models: Sequence[tuple[int, ...]]) -> tuple[IntArray, IntArray]:
-        """Return models' columns and their forms, both (n_models, width), else -1."""
+        """Return models' columns and forms, both (n_models, width), else -1."""
         form, row = _forms_of(models)
         counts = self.layout.counts[form]
         at, row, owner = (np.repeat(each, counts) for each in (self.layout.starts[form], row, form))
@@ -166,8 +166,7 @@ class Sums:
 
     def of_columns(self, scale: int, index: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return products of columns (k,) at a scale, (k, k), and with the gap, (k,)."""
-        p = self.right.shape[1]
-        if index.max(initial=-1) < p:
+        if index.max(initial=-1) < self.right.shape[1]:
             return self.gram[scale][index[:, None], index], self.right[scale][index]
         assert self.wide is not None
         own, across = self.wide.at(scale)

@@ -90,7 +90,7 @@ class ScaleEvidence:
         return np.asarray(2 * parts @ parts.T + np.diag(1.0 / PRIOR_SPREADS[self._active] ** 2))
 
     def gain(self, columns: FloatArray) -> float:
-        """Return the log evidence over all scales less that at the estimated ones, but for a constant.
+        """Return the log evidence over all scales less that at the estimated ones.
 
         `columns`: (n_rows, q), whitened, of the model and what it may leave, to unit prior variance.
         """

@@ -16,7 +16,6 @@ from calib.gap.observations.from_campaign import edges_along
 from calib.odometry.poses import poses_of_vehicle
 from calib.types import FloatArray, IntArray
 
-#: fields of a place that is a stretch
 STRETCH_FIELDS: Final = ("route", "coordinate", "place", "place_ci95", "by_direction", "floor")
 
 
@@ -62,7 +61,6 @@ MIN_CLUSTERS: Final = 8
 MIN_SAMPLES: Final = 10
 COUNT_COLUMNS: Final = ("t_s", "counts_left", "counts_right")
 RANGE_COLUMNS: Final = ("range_m",)
-#: channels traced along the way -> field of a trace
 TRACED_CHANNELS: Final = {Channel.ALONG: "along_m", Channel.HEADING: "heading_rad"}
 GRID_SPACING_M: Final = 0.25
 MAX_GRID_POINTS: Final = 120
@@ -182,8 +180,7 @@ def scan_route(
 ) -> tuple[PlaceResult, int] | None:
     """Search a route for the stretch where a channel's gap grows, and count those searched.
 
-    The p value is the best stretch's alone; None for too few whole runs. `signed`: look for a gap of the other sign on
-    the way back; see `traces_of`.
+    None for too few whole runs. `signed`: look for a gap of the other sign on the way back; see `traces_of`.
     """
     from scipy.special import stdtr
 
@@ -271,11 +268,7 @@ def _stretches(n: int) -> tuple[IntArray, IntArray]:
 def find_places(
     campaign: Campaign, observations: Observations, rng: np.random.Generator
 ) -> tuple[tuple[PlaceResult, ...], tuple[str, ...]]:
-    """Return the places inside the runs where the gap opens, smallest p first, and what cannot be asked.
-
-    On a stretch over which the gap grows in all runs of a route, in turns or straights, at stops; p values are
-    multiplied by the number of places.
-    """
+    """Return the places inside the runs where the gap opens, smallest p first, and what cannot be asked."""
     if np.isfinite(observations.simulated).any():
         return (), ("the simulated ends have no path: where inside a run the gap opens cannot be determined",)
     traces = traces_of(campaign.included(), observations)

@@ -1,7 +1,4 @@
-"""Where the gap lies: by channel, covariate, run, and place inside the runs.
-
-What it correlates with: F tests on each run's covariates and each wheel's travel.
-"""
+"""Where the gap lies: by channel, covariate, run, and place inside the runs."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -65,7 +62,6 @@ class RunDeviation:
         return plain_fields(self, channel=self.channel.label)
 
 
-#: name of all channels together
 ALL_CHANNELS: Final = "all"
 
 
@@ -241,7 +237,7 @@ def _varied(values: FloatArray | StrArray) -> bool:
 def covariate_test(
     name: str, values: FloatArray | StrArray, scaled: FloatArray, weights: FloatArray, most_dof: float
 ) -> CovariateResult | None:
-    """Test a covariate in every channel by an F test of the gap over its noise level; None where no channel allows it.
+    """Test a covariate in every channel by an F test of the gap over its noise level; None if none allows it.
 
     Returned is the channel of the smallest p, times the number of channels.
     `scaled` (n_units, n_channels): gap over noise level, NaN where a unit lacks the channel; `weights` (n_draws,
@@ -333,7 +329,7 @@ def _share(explained: FloatArray, df: int, left: FloatArray, dof: FloatArray, be
 
 
 def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> list[CovariateResult]:
-    """Return what left and right wheel's travel explain of the gap (n_units, n_channels), if they are told apart."""
+    """Return what each wheel's travel explains of the gap (n_units, n_channels), if they are told apart."""
     from scipy.special import fdtrc
 
     products, sizes = _products(nominal, noise, gap)

@@ -42,25 +42,22 @@ class Channel(IntEnum):
 
 
 N_CHANNELS: Final = len(Channel)
-#: channels of an end pose's position
 POSE: Final = (Channel.ALONG, Channel.LATERAL)
 
-#: steps worked on at a time: some forty arrays of half a megabyte mostly stay in the processor's cache
+#: steps worked on at a time: some forty arrays of half a megabyte mostly stay in the cache
 STEPS_AT_ONCE: Final = 2**16
 #: so many steps keep what follows from counts: ten values each
 KEPT_STEPS: Final = 2**20
 
 #: one window follows another that ended within this: rounding of a log's times
 SAME_TIME_S: Final = 1e-6
-#: standard uncertainty of curvature by whole counts, over that of a turn about one track: effects that grow with it are
-#: good to a fiftieth in the tightest turns
+#: standard uncertainty of curvature by whole counts, over that of a turn about one track
 CURVATURE_ERROR_PER_TRACK: Final = 0.02
 #: smoothing over more steps would join one turn with the next
 MOST_SMOOTHED_STEPS: Final = 10
 #: turn below which a run without a log is one arc
 STRAIGHT_RAD: Final = 0.35
 
-#: fields of `Observations` with a value for each step
 _OF_STEPS: Final = frozenset(
     {"roll_left_rad", "roll_right_rad", "phase_left_rad", "phase_right_rad", "time_s", "duration_s"}
     | {"front_roll_rad", "steer_rad", "steer_change_rad", "aside_rad", "carried_N"}
@@ -86,7 +83,7 @@ class _KeptIfFew(Generic[Value]):
 class Observations:
     """A campaign's observations and steps."""
 
-    vehicle: Vehicle  #: geometry and mass
+    vehicle: Vehicle
     model: OdometryModel  #: what the simulator believes
     #: shape (n_units + 1,): observation u has steps ``starts[u]:starts[u + 1]``, at least one
     starts: IntArray
@@ -138,13 +135,13 @@ class Observations:
     sensor_m: tuple[float, float] = (0.0, 0.0)  #: stated place of the reference's sensor on the vehicle
     sigmas_assumed: bool = False  #: whether a program filled in an instrument's uncertainty because nobody stated it
     notes: tuple[str, ...] = ()  #: what had to be omitted or assumed, in sentences
-    #: whether front wheel alone, or the rear axle's way and the steering, drive the odometry: two wheels represent it
+    #: whether front wheel alone, or the rear axle's way and the steering, drive the odometry
     by_front: bool = False
     by_shaft: bool = False  #: whether that is the rear axle's way, under the name of the front wheel's
     #: shape (n_steps,): what mecanum wheels roll to the left in each step, or an axle slips, over the mean radius
     aside_rad: FloatArray | None = None
     carried_N: FloatArray | None = None  #: shape (n_steps, 2): loads of both wheels, where logs have them
-    #: whether no recalibration is free beside the effects: the parameters of a user's simulator replace it
+    #: whether parameters of a user's simulator replace a free recalibration
     calibration_held: bool = False
     #: whether to look up effects of the model that act where nothing varies, too
     applied: bool = False
@@ -251,7 +248,7 @@ class Observations:
 
     @property
     def wheel_loads_N(self) -> FloatArray:
-        """Load of the left and of the right wheel, the mean over its way, shape (2, n_obs); NaN where not known."""
+        """Load of left and right wheel, the mean over its way, shape (2, n_obs); else NaN."""
         return np.stack([self.number("load_left_N"), self.number("load_right_N")])
 
     @property
@@ -266,12 +263,12 @@ class Observations:
 
     @cached_property
     def radius_left_m(self) -> FloatArray:
-        """Radius that the model believes of the left wheel in each observation, shape (n_obs,)."""
+        """The model's radius of the left wheel in each observation, (n_obs,)."""
         return np.asarray(self.radii_m(self.wheel_loads_N)[0])
 
     @cached_property
     def radius_right_m(self) -> FloatArray:
-        """Radius that the model believes of the right wheel in each observation, shape (n_obs,)."""
+        """The same of the right wheel."""
         return np.asarray(self.radii_m(self.wheel_loads_N)[1])
 
     def _wide(self, radii_m: FloatArray) -> FloatArray:
@@ -279,12 +276,12 @@ class Observations:
 
     @_KeptIfFew
     def travel_left_m(self) -> FloatArray:
-        """Left wheel's travel of each step by the model, shape (n_steps,)."""
+        """Left wheel's travel of each step by the model, (n_steps,)."""
         return self.roll_left_rad * self._wide(self.radii_m(self.loads_N)[0])
 
     @_KeptIfFew
     def travel_right_m(self) -> FloatArray:
-        """Right wheel's travel of each step by the model, shape (n_steps,)."""
+        """Return that of the right wheel, (n_steps,)."""
         return self.roll_right_rad * self._wide(self.radii_m(self.loads_N)[1])
 
     @_KeptIfFew

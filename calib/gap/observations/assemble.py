@@ -32,11 +32,10 @@ def filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
 FILLED: Final = ("temperature_C", "minutes_under_load")
 #: values beyond these are absurd
 PLAUSIBLE_VALUES: Final = {"temperature_C": (-50.0, 60.0)}
-#: and further than so many widths of the middle half from the median: 30 standard deviations if normal
+#: and further than so many interquartile ranges from the median: 30 standard deviations if normal
 MOST_SPREADS: Final = 20.0
-#: share that is a few
 MOST_ODD: Final = 0.2
-#: load over the empty vehicle's of a vehicle that carries nothing: load cells differ by a per cent
+#: load over the empty vehicle's that is none: load cells differ by a per cent
 MOST_OF_EMPTY: Final = 1.02
 _LABELS = ("run_id", "session", "kind", "direction")
 

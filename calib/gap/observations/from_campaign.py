@@ -29,7 +29,6 @@ from calib.types import FloatArray, IntArray
 
 #: fewer runs are cut into windows
 MIN_WHOLE_RUNS: Final = 12
-#: longest window
 WINDOW_M: Final = 4.0
 #: windows of all recordings
 WINDOWS_WANTED: Final = 48
@@ -39,7 +38,6 @@ MIN_WINDOW_TRACKS: Final = 1.5
 LOADS_VARY: Final = 0.05
 #: of a millimetre the square is a part in 1e18 of this distance's: double precision ends there
 LONGEST_RUN_M: Final = 1e6
-#: fewest samples of a window
 MIN_WINDOW_SAMPLES: Final = 4
 
 
@@ -138,7 +136,7 @@ def _setup(campaign: Campaign, model: OdometryModel | None) -> Setup:
         if odometry_source(campaign) == "front":
             model = replace(model, slope_left_m_per_N=0.0, slope_right_m_per_N=0.0)
         elif odometry_source(campaign) == "wheels":
-            # the axle that turns as the wheels of both sides do, also where their radii differ
+            # the axle that turns as the wheels of both sides do
             four = mecanum_model(campaign, model)
             model = replace(model, track_m=2.0 * four.arm_m, mecanum=four)
         campaign = on_one_axle(campaign, model)
@@ -174,7 +172,7 @@ def check_distances(campaign: Campaign, observations: Observations) -> None:
 
 
 def with_known_loads(campaign: Campaign) -> tuple[Campaign, str]:
-    """Return the campaign without runs of unknown load where measured ones vary, and a sentence on what was omitted.
+    """Return the campaign without runs of unknown load where measured ones vary, and a note.
 
     Taken as unladen they would contradict any law of the load. Of payloads alone none stated is none carried.
     """
@@ -214,7 +212,7 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
 def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, share: float = 1.0) -> Observations:
     campaign, references = setup.campaign, [run.reference for run in recorded if run.reference is not None]
     travelled_m = sum(float(each.travelled_m[-1]) for each in references)
-    # of three in a usual recording asked for by windows, one begins and ends on the move
+    # of three windows one begins and ends on the move
     wanted_m = travelled_m / (WINDOWS_WANTED * max(share, 1.0))
     # short enough for many windows, long enough that wheels matter
     length_m = float(np.clip(wanted_m, min(MIN_WINDOW_TRACKS * setup.model.track_m, WINDOW_M), WINDOW_M))
@@ -228,7 +226,7 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
         lacking += sum(bool(ends[run.run] and np.isnan(unit.measured[1:]).all()) for unit in posed)
         units.extend(posed)
         if windows and not setup.stands_in:
-            # what front wheel and laser measure is compared over the whole: windows would share their errors
+            # front wheel and laser are compared over the whole: windows would share their errors
             units.append(replace(run, measured=np.append(run.measured[:1], np.full(3, np.nan))))
     notes = []
     if without_counts := len(campaign.runs) - len(recorded):

@@ -80,7 +80,6 @@ class Observation:
         return len(self.left_rad) - 1
 
 
-#: fields of `Observation` with a value for each sample
 ALONG_RUN: Final = ("time_s", "left_rad", "right_rad", "front_rad", "steer_rad", "aside_m", *WHEEL_LOADS)
 
 
@@ -166,7 +165,7 @@ class ReferencePoses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CourseOverGround(ReferencePoses):
-    """Positions of the sensor alone, headings from them: the course over a short way, less the wheels' against it."""
+    """Positions alone, headings from them: the course over a short way, less the wheels' against it."""
 
     by_wheels: FloatArray  #: shape (n_poses, 3): of the vehicle
     place_m: FloatArray  #: shape (2,): the sensor's place on the vehicle
@@ -238,7 +237,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         way = max(1.5 * model.track_m, COURSE_SIGMAS * reference.sigma_xy_m)
         by_wheels = _by_wheels(left, right, model.track_m)[there]
         lasts_s = np.gradient(log["t_s"][rows]) if "t_s" in log else np.full(len(rows), np.inf)
-        # in the frame of its start a sensor on the axle needs no heading, whose makers knew that of the start
+        # in the frame of its start a sensor on the axle needs no heading
         on_axle = (reference.sensor_x_m, reference.sensor_y_m) == (0.0, 0.0)
         return CourseOverGround(
             rows=rows,
@@ -260,8 +259,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     return ReferencePoses(rows, poses, travelled, setup.in_map, from_first=setup.in_map)
 
 
-#: poses begin at the sensor's place where the first is off it by less than this share of its distance from the origin,
-#: however large the noise is
+#: poses begin at the sensor's place where the first is off it by a smaller share of its distance from the origin
 NEAR_PLACE: Final = 0.25
 
 

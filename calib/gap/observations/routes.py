@@ -27,8 +27,7 @@ class WheelTravel:
     """Steps of all observations, end to end, by wheels and model."""
 
     starts: IntArray  #: shape (n_obs + 1,): observation u has steps ``starts[u]:starts[u + 1]``
-    #: shape (n_steps,): travel
-    left_m: FloatArray
+    left_m: FloatArray  #: shape (n_steps,): travel
     right_m: FloatArray
     track_m: float
     duration_s: FloatArray  #: shape (n_steps,)
@@ -89,10 +88,7 @@ def row_numbers(columns: Sequence[IntArray | FloatArray | StrArray]) -> IntArray
 
 
 def routes(driven: WheelTravel, heading_rad: FloatArray) -> IntArray:
-    """Return each observation's number of route, (n_obs,), by first appearance.
-
-    One route agrees in length, and in heading (drawn linearly to the one measured) and distance at every tenth.
-    """
+    """Return each observation's number of route, (n_obs,), by first appearance."""
     shapes, rolled, tolerance = _shapes(driven, heading_rad)
     route = np.full(len(rolled), -1, dtype=np.int64)
     leaders: list[int] = []
@@ -186,17 +182,14 @@ def _column_width(values: FloatArray) -> float:
     return spread / 10.0 if spread > 0 else 1.0
 
 
-#: how far a guided run strays from its line, unless specified
+#: of a guided run from its line, unless specified
 ASSUMED_LATERAL_M: Final = 0.05
 
 
 def heading_by_straightness(
     amplitude_m: FloatArray, wavelength_m: FloatArray, weave_rad: FloatArray, way_m: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the uncertainty of a straight run's heading at the end, and where it was assumed, each (n_obs,).
-
-    A stated weave turns by up to 2 pi A / l; else `weave_of_log`; else a stray of `ASSUMED_LATERAL_M` over the length.
-    """
+    """Return the uncertainty of a straight run's heading at the end, and where it was assumed, each (n_obs,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         stated = 2 * np.pi * np.abs(amplitude_m) / wavelength_m
         assumed = 2 * np.pi * ASSUMED_LATERAL_M / np.maximum(way_m, ASSUMED_LATERAL_M)

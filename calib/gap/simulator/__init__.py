@@ -73,7 +73,7 @@ class SimulatorSettings(BaseModel):
 
     @property
     def path(self) -> Path:
-        """Of the file, in whose folder the command runs."""
+        """The file; the command runs in its folder."""
         return self._path
 
     @property
@@ -199,7 +199,7 @@ _BLUNDERS: Final = {
 
 
 def written_wrong(table: FloatArray, own: FloatArray, most: float) -> str:
-    """Return in words what a simulator writes wrongly; empty where its ends are about the counts'.
+    """Return in words what a simulator writes wrongly; else empty.
 
     `table`, `own`: ends (n_runs, 4) at nominal parameters, and by the campaign's model and counts; `most`: share of way
     and turn by which these may differ on average.
@@ -271,7 +271,7 @@ def cache_folder() -> Path | None:
 
 
 def run_cache(settings: SimulatorSettings, campaign_hashes: Mapping[str, str]) -> RunCache:
-    """Return a simulator's cache on a campaign, by the command, its files and ``inputs``, and the campaign's."""
+    """Return a simulator's cache on a campaign, by the command, its files and the campaign's."""
     folder = settings.path.resolve().parent
     files = {part: folder / part for part in settings.command if "{" not in part}
     for name in settings.inputs:

@@ -202,7 +202,7 @@ def _check_excluded(
 def _candidates(
     observations: Observations, differences: Differences, exclude: Sequence[str], campaign: Campaign
 ) -> tuple[list[Effect], tuple[str, ...]]:
-    # what parameters replace or, of the calibration, reproduce is left to these: a parameter can be set
+    # what parameters replace or reproduce is left to these: a parameter can be set
     nominal = predict(observations)
     own = [effect for effect in differences.effects(nominal) if effect.id not in exclude]
     idle = [effect.parameter.name for effect in own if not effect.forms(observations)]
@@ -280,13 +280,13 @@ def _scaled(path: Path, forms: Sequence[Form]) -> FloatArray:
     return whole[path.s.usable[:, :4]]
 
 
-#: of a set's squares and Schwarz's penalty over the best one's, beyond which it is ten times less probable
+#: of a set's score over the best one's: ten times less probable
 WINDOW: Final = 2.0 * LOG_EVIDENCE_WINDOW
-#: what a parameter not run may bend: as those run did, and of the gap, by a step of another size or side
+#: what a parameter not run may bend, of the gap
 BENT_SHARE: Final = 0.05
-#: squares over noise's that a run's signatures may promise before it is given up: twice the noise level
+#: squares over noise's that a run may promise before it is given up: twice the noise level
 PROMISED: Final = 4.0
-#: parameters tried together, and sets of them weighed: all of thirty parameters
+#: parameters tried together, and sets weighed: all of thirty parameters
 MOST_ALONE: Final = 3
 MOST_SETS: Final = 5000
 #: share by which a size moves where another parameter beside it takes a part
@@ -294,7 +294,7 @@ MOVED: Final = 0.1
 
 
 def _rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix | None) -> list[_Rival]:
-    # the most probable first: the named parameters, those most able, and variants of the best set
+    # the named parameters, those most able, and variants of the best set
     n_rows, named = int(diagnosis.nominal.s.usable.sum()), named_parameters(diagnosis, differences)
     limit, verdict = most_square(n_rows, diagnosis.noise.dof), frozenset(cause.effect for cause in diagnosis.causes)
 
@@ -350,7 +350,7 @@ def _neighbours(
 
 
 def _most_able(diagnosis: Diagnosis, differences: Differences) -> Iterator[dict[str, Declared]]:
-    # radii off alike show in the two together alone: of each number the best set, not the best after the best
+    # radii off alike show in the two together alone: of each number the best set
     forms, sign, columns, gap = scaled_signatures(diagnosis)
     for size in range(1, min(MOST_ALONE, len(forms)) + 1):
         sets = islice(combinations(range(len(forms)), size), MOST_SETS)
@@ -364,7 +364,7 @@ def _as_rivals(diagnosis: Diagnosis, rivals: Sequence[_Rival]) -> Diagnosis:
     weights = [exp(0.5 * (rivals[0].score - each.score)) for each in rivals]
     groups = {group[0]: tuple(group) for group in diagnosis.groups}
     for other in rivals:
-        # what stands in the place of a cause, or takes a part of it; one omitted alone is less probable
+        # what stands in the place of a cause, or takes a part of it
         for name in sorted(name for name in best.names if name not in other.names or _moves(name, best, other)):
             if instead := sorted(other.names - best.names):
                 groups[name] = tuple(dict.fromkeys((*groups.get(name, (name,)), *instead)))

@@ -32,7 +32,7 @@ MOST_RERUNS: Final = 8
 CONVERGED: Final = (0.3, 0.5, 1.0)
 #: factor within which squares of a noisy simulator are alike
 ALIKE: Final = 1.3
-#: share of the deviation below which a step tells no slope beside rounding, or scatter
+#: of the deviation, below which a step tells no slope beside rounding, or scatter
 SECANT_SHARE: Final = (0.01, 0.05)
 #: what settles a fix that the simulator does not confirm
 FAR: Final = "set the nominal parameters nearer to what closes it, and diagnose again"
@@ -83,7 +83,7 @@ def fixed(
     theirs = _without(diagnosis.fitted, named)
     own = closure_of(nominal, diagnosis.noise, theirs, theirs - (before - after), rng).closure
     closes, fits = (each.ci95 is not None and each.ci95[0] > ADEQUATE_CLOSURE for each in (closure, own))
-    # what no run confirms may be how the simulator errs from one value to the next
+    # what no run confirms may be the simulator's error
     denied = named if own.ci95 is None or own.ci95[1] < HALF_CLOSURE else ()
     causes = limited_to_even([_moved(cause, named, found) for cause in diagnosis.causes], denied)
     kind = diagnosis.kind if closes and not closure.leaves_part else VerdictKind.PARTLY_EXPLAINED
@@ -120,7 +120,7 @@ def fixed(
 
 
 def _farther(ran: Iterable[Trial], closure: Closure) -> Iterator[str]:
-    # headings that come right weigh more than ends that errors of opposite sense kept near
+    # headings weigh more than ends that opposite errors kept near
     for trial in ran:
         before_m, after_m = trial.before_rms_m or 0.0, trial.after_rms_m or 0.0
         if after_m**2 > before_m**2 + (closure.floor_rms_m or 0.0) ** 2:
@@ -145,7 +145,7 @@ def parameters_to_set(diagnosis: Diagnosis) -> dict[str, float]:
 
 
 def iterated(diagnosis: Diagnosis, differences: Differences, start: SimulatorFix | None = None) -> SimulatorFix:
-    """Run the simulator with the fix, and correct it by secant steps (Broyden 1965) until the runs ask for no more.
+    """Run the simulator with the fix, and correct it by secant steps (Broyden 1965) until runs ask for no more.
 
     A step that leads away is halved. `start`: a fix already run, by default the diagnosis' parameters.
     """
@@ -225,7 +225,7 @@ def _followed(
 
 
 def _within(named: Mapping[str, Declared], deviation: FloatArray) -> FloatArray:
-    # none further off than is plausible, nor a length at nothing: a simulator may fail there
+    # none implausible, nor a length at nothing: a simulator may fail there
     nominal, far = np.array([(each.nominal, each.largest) for each in named.values()]).T
     inside: FloatArray = np.clip(deviation, -far, far)
     return np.where(inside == -nominal, NOT_NOTHING * inside, inside)
@@ -326,7 +326,7 @@ def scaled_signatures(diagnosis: Diagnosis) -> tuple[list[Form], IntArray, Float
 
 
 def square_left(columns: FloatArray, gap: FloatArray, sign: IntArray) -> float:
-    """Return the squares of a gap (n_rows,) that columns (n_rows, k) leave; infinite beyond plausible sizes."""
+    """Return the squares of a gap (n_rows,) that columns (n_rows, k) leave; infinite if implausible."""
     sizes = np.linalg.solve(columns.T @ columns + 1e-9 * np.eye(len(sign)), columns.T @ gap)
     possible = (np.abs(sizes) < 1.0).all() and (sizes * sign >= 0.0).all()
     return float(((gap - columns @ sizes) ** 2).sum()) if possible else np.inf

@@ -28,7 +28,6 @@ from calib.types import FloatArray, Progress
 #: bytes of output kept for an error
 KEPT_BYTES: Final = 4096
 SHOWN_CHARACTERS: Final = 300
-#: stage of the progress
 RUNS_STAGE: Final = "simulator runs"
 #: between looks at a run, and for an interruption
 LOOK_S: Final = 0.05
@@ -40,7 +39,7 @@ class Job:
 
     parameters: dict[str, float]
     what: str
-    repeat: int = 0  #: among runs with the same parameters
+    repeat: int = 0
 
 
 class _Stopped(Exception):
@@ -56,7 +55,7 @@ class SimulatorRunner:
     run_ids: Sequence[str]
     cache: RunCache
     workers: int
-    progress: Progress  #: see `calib.types.Progress`
+    progress: Progress
     asked: int = 0
     ran: int = 0  #: of these, not kept already
     seconds: list[float] = field(default_factory=list)  #: wall time of each run
@@ -188,8 +187,7 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 NOISE_SHARE: Final = 0.02
 #: runs of a noisy one per set of parameters
 REPEATS: Final = 4
-#: change by a step, in standard deviations of a noisy run, that shows a signature within 1 %: longer ones bend the
-#: paths
+#: change by a step, in standard deviations of a noisy run, that shows a signature within 1 %
 CLEAR_CHANGE: Final = 60.0
 #: largest step over a nominal value that is not zero
 NOT_NOTHING: Final = 0.9
@@ -309,8 +307,7 @@ def differences_of(runner: SimulatorRunner, sigma: FloatArray) -> Differences:
     for (name, size), table in zip(far, runner.run([_off(settings, *step) for step in far]), strict=True):
         if (moved := difference(table, nominal) / size).any():
             change[name], steps[name] = moved, size
-    axis = _distance_axis(tables)
-    return Differences(runner, nominal, change, steps, nothing, 1, axis)
+    return Differences(runner, nominal, change, steps, nothing, 1, _distance_axis(tables))
 
 
 def _averaged(
@@ -346,13 +343,11 @@ def _averaged(
     for name in size:
         sides = [difference(table, middle) / step for (of, step), table in means.items() if of == name]
         change[name] = np.mean(sides, axis=0)
-    axis = _distance_axis(list(means.values()))
-    return Differences(runner, middle, change, size, scatter, REPEATS, axis)
+    return Differences(runner, middle, change, size, scatter, REPEATS, _distance_axis(list(means.values())))
 
 
 def _repeats(tables: Sequence[FloatArray], sigma: FloatArray) -> bool:
-    whole = np.stack(tables)
-    for written, limit in zip(np.moveaxis(whole, 2, 0), NOISE_SHARE * sigma, strict=True):
+    for written, limit in zip(np.moveaxis(np.stack(tables), 2, 0), NOISE_SHARE * sigma, strict=True):
         if not np.isnan(written).all():
             coarse = np.array_equal(written, np.round(written, int(-np.log10(limit))))
             if coarse or not (written[1:] == written[0]).any(axis=0).all():

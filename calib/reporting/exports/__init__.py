@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 #: format -> module of this package, whose ``render(path, accept, progress)`` returns the files
 FORMATS: Final[dict[str, str]] = {"dcc": "dcc", "mcap": "mcap_paths", "nav2": "nav2"}
-#: formats that are no text
 BINARY: Final = frozenset({"mcap"})
 
 
@@ -34,7 +33,7 @@ def export_from(
 
 
 def diagnosed(path: Path, progress: "Progress") -> "tuple[Campaign, Diagnosis]":
-    """Return a campaign and its diagnosis without a plan; BadInputError for a result folder, which has no runs."""
+    """Return a campaign and its diagnosis without a plan; BadInputError for a result folder."""
     from calib.campaign.read import read_campaign
     from calib.gap.diagnose import diagnose_in_full
     from calib.radius.result import is_result

@@ -23,13 +23,11 @@ from calib.types import FloatArray, Progress, evenly
 if TYPE_CHECKING:
     from rosbags.interfaces import Connection
 
-#: between runs
 PAUSE_S: Final = 2.0
 #: of a path; more are thinned evenly
 MOST_POSES: Final = 1000
 #: of a run without a log
 UNKNOWN_SPEED_MPS: Final = 1.0
-#: frame of all poses
 FRAME: Final = "start"
 PATHS: Final = ("measured", "simulated", "corrected")
 NUMBERS: Final = ("gap", "gap_corrected", "noise")
@@ -70,8 +68,7 @@ def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[_ShownRun]:
             rows, poses = measured
             paths["measured"] = (rows, np.array([relative_pose(poses[0], pose) for pose in poses]))
         elif observations.usable[number, Channel.ALONG]:
-            end = np.nan_to_num(observations.measured[number, 1:4])
-            paths["measured"] = (time_s[-1:], end[None, :])
+            paths["measured"] = (time_s[-1:], np.nan_to_num(observations.measured[number, 1:4])[None, :])
         numbers = {
             f"{name}/{channel.label}_{channel.unit}": float(values[number, channel])
             for name, values in tables.items()

@@ -35,13 +35,11 @@ POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
 ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
 #: of nav2_amcl
 DEFAULT_ALPHA: Final = 0.2
-#: bounds of a size that are tried, a third of a per cent apart: from a micrometre in a kilometre
+#: bounds that are tried, a third of a per cent apart: from a micrometre in a kilometre
 BOUNDS: Final = np.geomspace(1e-15, DEFAULT_ALPHA, 10_000)
 #: rise of the misfit beyond chance: half of the 90 % quantile of chi^2, for a size that cannot be negative
 BEYOND_CHANCE: Final = 1.353
-#: parts in which runs are held out
 FOLDS: Final = 10
-#: of the interval of a ratio
 COVERAGE: Final = 0.95
 
 
@@ -99,8 +97,7 @@ def amcl_components(poses: FloatArray) -> FloatArray:
 
 def _ways(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     middle, end = 0.5 * (poses[:-1] + poses[1:]), poses[-1]
-    way = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    return way, _directions(middle[:, 2], end), _levers(middle, end)
+    return np.hypot(*np.diff(poses[:, :2], axis=0).T), _directions(middle[:, 2], end), _levers(middle, end)
 
 
 def walk_components(poses: FloatArray) -> FloatArray:
@@ -149,7 +146,7 @@ def spread_of(path: PredictedPath, units: BoolArray, model: str) -> Spread:
 
 
 def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None) -> FloatArray:
-    """Return the components' sizes (n_components,), none below zero, that fit the residuals (n_obs, 3) best.
+    """Return the components' sizes (n_components,), none below zero, that fit residuals (n_obs, 3) best.
 
     By the likelihood of along, lateral and heading, each by itself. `begin`: sizes near the solution.
     """
@@ -180,7 +177,7 @@ def _fit(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None)
 
 
 def stated(spread: Spread, residuals: FloatArray, raised: float = 1.0) -> tuple[dict[str, float], tuple[str, ...]]:
-    """Return the size of each component, times `raised`, and the names of those that the residuals do not determine.
+    """Return each component's size, times `raised`, and the names of those left undetermined.
 
     Without these the fit is worse by no more than chance. They have the most that the residuals allow with any sizes of
     the others.
@@ -279,7 +276,7 @@ class _KindNoise:
 
 
 def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray) -> tuple[_KindNoise, ...]:
-    """Return the alphas of each kind of enough runs, where there are several; `models`: of `MODELS`."""
+    """Return the alphas of each kind of enough runs; `models`: of `MODELS`."""
     found = []
     for kind in sorted(set(kinds)) if len(set(kinds)) > 1 else ():
         on = kinds == kind
