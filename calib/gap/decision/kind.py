@@ -164,10 +164,10 @@ def beside_geometry(found: Diagnosis, campaign: Campaign) -> Diagnosis:
 
     Its fix is not recommended where the reference has unlike scales; radii and track that differ are noted.
     """
-    from calib.kinematics.estimate import estimate_geometry
-
     if not found.recommended or not OF_A_PATH.intersection(campaign.logs.columns):
         return found
+    from calib.kinematics.estimate import estimate_geometry
+
     with suppress(CalibError):
         geometry = estimate_geometry(campaign)
         faults = [fault.text for fault in geometry.faults if fault.code in OF_REFERENCE]
