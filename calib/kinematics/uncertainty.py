@@ -77,8 +77,7 @@ def _decorrelated(columns: FloatArray, shared: Shared) -> FloatArray:
     return columns + shared.change[:, :, None] * (factor[:, None] * sums)[shared.group][:, None, :]
 
 
-def block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatArray:
-    """Return each block's score by the parameters, scaled to unit information, shape (n_blocks, n_free)."""
+def _block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatArray:
     jacobian, residuals = whitened(solution, free)
     scores = np.einsum("nip,ni->np", jacobian, residuals)
     total = np.stack([np.bincount(block, scores[:, at]) for at in range(scores.shape[1])], axis=1)
@@ -266,7 +265,7 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     """
     free = parameters.free
     _, first, block = np.unique(segments.block, return_index=True, return_inverse=True)
-    run, scores = segments.run[first], block_scores(solution, free, block)
+    run, scores = segments.run[first], _block_scores(solution, free, block)
     own = own_directions(parameters.free_names, solution.values[free])
     if len(np.unique(run)) >= min(ENOUGH_RUNS, len(run)):
         best = sandwich(solution, free, segments.run, "run", OF_RUNS, own)
