@@ -128,7 +128,6 @@ def fit_brief(fit: Fit) -> tuple[Block, ...]:
 
 
 _LEVELS: Final = {"ok": "passed", "note": "remark", "failed": "FAILED"}
-#: beside the result
 MAX_REMARKS: Final = 3
 
 
@@ -170,7 +169,7 @@ def usable_notice(fit: Fit) -> Notice:
 
 
 def residuals_section(source: "Source") -> Section:
-    """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
+    """Return the residuals, and the checks of both wheels."""
     fit = source.fit
     return Section("Residual checks", (residuals_picture(fit), _checks_table(fit)))
 
@@ -294,7 +293,6 @@ def budget_picture(fit: Fit) -> Picture:
 
 #: more runs make the report's table one of sessions
 MOST_ROWS: Final = 200
-#: for one reason
 MOST_NAMED: Final = 12
 
 

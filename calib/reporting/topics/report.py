@@ -66,7 +66,6 @@ def preparation_of(notes: Any) -> Section | None:
     return Section("Preparation of the data", (head, *items(sentences)))
 
 
-#: in a report
 MOST_NOTES: Final = 20
 _CONDITIONS = {
     "temperature_C": ("Temperature of the hall", "°C", ".1f"),
