@@ -41,8 +41,7 @@ def _python_scalar(value: Any) -> Any:
 def csv_text(columns: Sequence[str], rows: Iterable[Iterable[Any]]) -> str:
     """Return a table for people and spreadsheets as CSV.
 
-    `columns`: names of the columns; `rows`: cells; None is an empty cell, and no cell is a formula
-    (`spreadsheet_cell`).
+    None is an empty cell, and no cell is a formula (`spreadsheet_cell`).
     """
     import csv
     import io

@@ -46,7 +46,7 @@ def write_bytes(path: Path, data: bytes, *, force: bool = False) -> Path:
         refuse_existing([path], force=force)
         path.parent.mkdir(parents=True, exist_ok=True)
         sweep(path)
-        temporary = temporary_beside(path)
+        temporary = _temporary_beside(path)
         try:
             with temporary.open("xb") as out:
                 out.write(data)
@@ -252,7 +252,7 @@ def _must_keep_identity(target: Path, names: Sequence[str]) -> bool:
 
 
 def _renew_beside(target: Path, names: Sequence[str], fill: Callable[[Path], None], *, force: bool) -> None:
-    fresh = temporary_beside(target)
+    fresh = _temporary_beside(target)
     fresh.mkdir()
     try:
         fill(fresh)
@@ -294,7 +294,7 @@ def _move_all(fresh: Path, inner: Path, names: Sequence[str]) -> None:
 
 
 def _renew_inside(target: Path, names: Sequence[str], fill: Callable[[Path], None]) -> None:
-    fresh = temporary_beside(target, target)
+    fresh = _temporary_beside(target, target)
     fresh.mkdir()
     try:
         fill(fresh)
@@ -340,8 +340,7 @@ def _swap(first: Path, second: Path) -> bool:
         return False
 
 
-def temporary_beside(path: Path, where: Path | None = None) -> Path:
-    """Return a fresh hidden name, in the folder `where` or beside `path`, for what will be renamed to `path`."""
+def _temporary_beside(path: Path, where: Path | None = None) -> Path:
     mark = _mark(path.name) if where is None else INSIDE
     stem = f"{PREFIX}{mark}-{_mark(platform.node())}-{os.getpid()}-{os.urandom(3).hex()}{SUFFIX}"
     return (path.parent if where is None else where) / stem

@@ -201,7 +201,6 @@ class CheckReport:
     """What was found, and the notes by level."""
 
     campaign: str
-    #: a program made the data
     simulated: bool
     found: CampaignContents
     #: faults to correct; things to look at; what was recognised and converted

@@ -33,7 +33,6 @@ def _width(bits: int) -> int:
 class Encoder:
     """Encoders: counts per wheel revolution, and the counter's width where it wraps."""
 
-    #: counts a revolution of the rear wheels
     counts_per_rev_left: Positive = 4096.0
     counts_per_rev_right: Positive = 4096.0
     #: width of the counter; None: it does not wrap, or unspecified
@@ -219,7 +218,6 @@ def recognise(found: str, known: tuple[str, ...], *, further: bool = True) -> Re
     return Recognised(found, clean)
 
 
-#: short forms in column names
 _WORDS: Final = {"l": "left", "r": "right", "temp": "temperature", "dist": "distance"} | dict.fromkeys(
     ("cnt", "count"), "counts"
 )

@@ -268,8 +268,7 @@ def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
     step[1:] = 0.5 * (rate[1:] + rate[:-1]) * np.diff(t_s)
     begin = logs.offsets[:-1][logs.lengths > 0]
     step[begin] = 0.0
-    total = since_start(np.nan_to_num(step), np.append(begin, len(rate)))
-    return np.where(np.isfinite(rate), total, np.nan)
+    return np.where(np.isfinite(rate), since_start(np.nan_to_num(step), np.append(begin, len(rate))), np.nan)
 
 
 #: wheels within this share may have rolled a straight line

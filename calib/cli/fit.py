@@ -80,7 +80,6 @@ def fit(
 
 USING = {"end-poses": "end_poses", "windows": "windows"}
 LEAVE_OUT = {"session": "session", "kind": "kind", "run": "run_id"}
-#: of the figures' folder
 PICTURE = "geometry_paths"
 
 

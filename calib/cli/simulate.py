@@ -41,10 +41,9 @@ Speed = Annotated[float, opt("M/S", "Speed that times the trajectories.", "--spe
 Targets = tuple[Path | None, Path | None, float]
 
 
-def finish(
+def _finish(
     simulation: "Simulation", targets: Targets, *, seed: int, notes: Sequence[str] = (), law: Path | None = None
 ) -> None:
-    """Write what was asked for, and show the simulation; see `simulate`; `law`: where the vehicle's law came from."""
     from calib.reporting.topics.simulation import simulation_content, simulation_trajectories, write_simulation
 
     (output, tum, speed_mps), force = targets, terminal.forced()
@@ -118,7 +117,7 @@ def route(
         )
     track_m, rng = vehicle.track_m if track is None else track, np.random.default_rng(0)
     simulation = simulate(CUSTOM, routes=route or (), cases=cases, track_m=track_m, real_track_m=real_track, rng=rng)
-    finish(simulation, (output, tum, speed), seed=0)
+    _finish(simulation, (output, tum, speed), seed=0)
 
 
 def journey(
@@ -158,7 +157,7 @@ def journey(
         under = LawJourneys(source, loads_N, base[0] if base else None, loading, draws)
         rng = np.random.default_rng(seed)
         simulation = simulate(CUSTOM, routes=route or (), track_m=under.axle.track_m, under=under, rng=rng)
-    finish(simulation, (output, tum, speed), seed=seed, notes=source.notes, law=law)
+    _finish(simulation, (output, tum, speed), seed=seed, notes=source.notes, law=law)
 
 
 def study(
@@ -199,7 +198,7 @@ def study(
     with terminal.progress("simulating"):
         under = None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws)
         simulation = simulate(name, routes=route or (), track_m=track_m, under=under, rng=rng)
-    finish(simulation, (output, tum, speed), seed=seed, notes=() if source is None else source.notes, law=law)
+    _finish(simulation, (output, tum, speed), seed=seed, notes=() if source is None else source.notes, law=law)
 
 
 def replay(

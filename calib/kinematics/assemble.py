@@ -29,13 +29,9 @@ from calib.kinematics.uncertainty import ENOUGH_RUNS
 from calib.types import BoolArray, FloatArray, IntArray, in_frame
 
 
-def route_table(
+def _route_table(
     recording: Recording, segments: Segments, before: FloatArray, after: FloatArray
 ) -> tuple[RouteResidual, ...]:
-    """Return the residuals by kind of route, else by the sense of the turn.
-
-    `before`, `after` (shape (n, 3)): of the nominal and the calibrated vehicle, NaN where not measured.
-    """
     kind = recording.kind[segments.run]
     if (kind == "").all():
         turn = segments.measured[:, 2]
@@ -113,7 +109,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         faults=judgement.faults,
         mirrored=any(fault.code in {"reversed_front", "reversed_steering", "reversed_both"} for fault in faults),
         umbmark=squares,
-        routes=route_table(model.recording, whole.segments, np.where(seen, before.residuals, np.nan), left),
+        routes=_route_table(model.recording, whole.segments, np.where(seen, before.residuals, np.nan), left),
         notes=tuple(_notes(fitted, whole, campaign.vehicle.drive)),
         inputs=campaign.hashes,
         judgement=judgement,

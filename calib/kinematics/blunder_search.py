@@ -78,8 +78,8 @@ def find_blunder(
 ) -> tuple[Campaign, Recording, Fault] | None:
     """Return corrected settings and recording, and the blunder; None where none explains the data.
 
-    The campaign states vehicle, encoder and noise of the reference. `source`: wheels that drive the odometry (``rear``,
-    ``front``, ``wheels``, ``shaft``); `divide` cuts a recording into segments by a campaign's nominal vehicle.
+    The campaign states vehicle, encoder and noise of the reference. `source`: one of `WHEEL_COLUMNS`;
+    `divide` cuts a recording into segments by a campaign's nominal vehicle.
     """
     try:
         whole = divide(campaign, recording).are_runs_of(recording)

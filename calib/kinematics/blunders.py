@@ -270,8 +270,7 @@ def corrected(recording: "Recording", segments: "Segments", source: str, drive: 
     seen = segments.seen[:, 2]
     measured = segments.measured[seen, 2]
     model, values = _nominal(recording, segments, drive)
-    nominal = model.predict(values)
-    refuse_heading_unit(measured - nominal.residuals[seen, 2], measured)
+    refuse_heading_unit(measured - model.predict(values).residuals[seen, 2], measured)
     if faults is not None:
         return recording, faults
     return wheels_faults(recording, segments, drive) if source == "wheels" else rear_faults(recording, segments)

@@ -296,8 +296,7 @@ def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
 
 def _bends(fitted: Fitted) -> bool:
     segments = fitted.model.segments
-    longest = (segments.level == 0) & segments.seen[:, 2]
-    return rms(fitted.solution.prediction.residuals[longest, 2:]) > BENT_RAD
+    return rms(fitted.solution.prediction.residuals[(segments.level == 0) & segments.seen[:, 2], 2:]) > BENT_RAD
 
 
 def _with_own_delays(task: _Task, common: Fitted, losses: FloatArray) -> tuple[Fitted, tuple[Delay, ...]]:

@@ -267,8 +267,7 @@ def own_delays(fitted: Fitted) -> tuple[tuple[Delay, ...], FloatArray]:
     None of either where one delay fits all. The recording, in windows, knows what each run was taken to add so far.
     """
     recording, common = fitted.model.recording, float(fitted.solution.values[-1])
-    shifts = shifts_of(fitted, "delay_s")
-    if shifts is None:
+    if (shifts := _shifts_of(fitted, "delay_s")) is None:
         return (), np.zeros(0)
     group, shift, std = shifts
     added = recording.delay_added_s + shift[group]
@@ -279,12 +278,8 @@ def own_delays(fitted: Fitted) -> tuple[tuple[Delay, ...], FloatArray]:
     return tuple(Delay(labels[at], values[at], float(std[group[at]])) for at in sorted(first)), added
 
 
-def shifts_of(fitted: Fitted, name: str) -> tuple[IntArray, FloatArray, FloatArray] | None:
-    """Return by how much each recording alone would change one parameter of a joint fit of windows.
-
-    The group of each run (n_runs,), and each group's shift with its standard deviation (n_groups,); None where the
-    parameter is not free or blocks are too few.
-    """
+def _shifts_of(fitted: Fitted, name: str) -> tuple[IntArray, FloatArray, FloatArray] | None:
+    # the group of each run (n_runs,), and each group's shift with its standard deviation (n_groups,)
     segments, parameters, group = fitted.model.segments, fitted.parameters, fitted.model.recording.group
     if name not in parameters.free_names or name in fitted.undetermined or not group.any():
         return None
@@ -305,8 +300,7 @@ def shifts_of(fitted: Fitted, name: str) -> tuple[IntArray, FloatArray, FloatArr
 
 def steering_zero_spread_rad(fitted: Fitted) -> float:
     """Return the steering zero's standard deviation between recordings; 0 where they agree."""
-    shifts = shifts_of(fitted, STEERING_ZERO)
-    if shifts is None or not _disagree(*shifts[1:]):
+    if (shifts := _shifts_of(fitted, STEERING_ZERO)) is None or not _disagree(*shifts[1:]):
         return 0.0
     _, shift, std = shifts
     return float(np.sqrt(max(float(np.var(shift, ddof=1)) - float(np.mean(np.square(std))), 0.0)))

@@ -9,12 +9,11 @@ import numpy as np
 from calib.documents import Result, plain_fields
 from calib.errors import BadInputError
 from calib.kinematics.adequacy import GeometryVerdict, Judgement
-from calib.kinematics.along import Freedom
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import MEAN_RADIUS, Delay, Fitted
 from calib.kinematics.readings import implausible
 from calib.kinematics.solve import COMPONENTS, DEGREES, LEAST, NOISE_STRETCHES, POWER, STATED_READINGS, kernels
-from calib.kinematics.uncertainty import UNBIASED, flattened, whitened
+from calib.kinematics.uncertainty import UNBIASED, Freedom, flattened, whitened
 from calib.types import FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -114,12 +113,9 @@ class Umbmark:
     #: standard deviations from the scatter of the runs; NaN with fewer than two runs of a sense
     E_d_std: float = field(default=float("nan"), metadata={"json": "E_d_sd"})
     E_b_std: float = field(default=float("nan"), metadata={"json": "E_b_sd"})
-    #: mean
     side_m: float = float("nan")
-    #: squares of each sense
     n_cw: int = 0
     n_ccw: int = 0
-    #: why it does not apply
     why: str = ""
 
 
@@ -152,7 +148,6 @@ class Geometry(Result):
     """Radii, track and sensor of a vehicle, estimated together."""
 
     name: str
-    #: a program made the data
     simulated: bool
     #: of `calib.vehicle.DRIVES`
     drive: str
@@ -160,7 +155,6 @@ class Geometry(Result):
     source: str = field(metadata={"json": "from"})
     #: ``end_poses`` or ``windows``
     using: str
-    #: used, with their stretches
     n_runs: int
     n_segments: int
     estimates: tuple[Estimate, ...] = field(metadata={"json": False})
@@ -175,11 +169,8 @@ class Geometry(Result):
     #: standard deviations of the noise's components, and expected of a further journey, larger where runs are few
     noise: Mapping[str, float]
     noise_expected: Mapping[str, float]
-    #: after the calibration
     residual_rms: Channels
-    #: beyond the noise
     outliers: tuple[str, ...]
-    #: recognised
     faults: tuple[Fault, ...]
     #: whether a mirrored solution was corrected
     mirrored: bool = field(metadata={"json": "mirrored_solution"})
@@ -191,9 +182,7 @@ class Geometry(Result):
     notes: tuple[str, ...] = ()
     #: delay of each recording, where they differ significantly; ``delay_s`` is then their common part
     delays: tuple[Delay, ...] = ()
-    #: path -> SHA-256
     inputs: Mapping[str, str] = field(default_factory=dict, metadata={"json": False})
-    #: for a figure, where asked for
     paths: tuple[RunTrace, ...] = field(default=(), metadata={"json": False})
     #: degrees of freedom of sums of the estimates; None: those of the estimates hold
     freedom: Freedom | None = field(default=None, metadata={"json": False})

@@ -127,7 +127,6 @@ class Solution:
 
     #: all parameters; those not free at their nominal value, shape (n_parameters,)
     values: FloatArray
-    #: at `values`
     prediction: Prediction
     #: variances of the noise's components, shape (4,)
     scales: FloatArray
@@ -137,7 +136,6 @@ class Solution:
     weights: FloatArray
     #: squared whitened residuals, rescaled so that their middle is where normal noise has it, shape (n,)
     squares: FloatArray
-    #: the last step was small
     converged: bool
     #: information that nominal values add, shape (n_free, n_free)
     pull: FloatArray
@@ -254,15 +252,15 @@ def _settle(problem: _Linear, whitener: FloatArray) -> tuple[FloatArray, float]:
     jacobian, residuals = problem.whitened(whitener)
     step, moved = np.zeros(jacobian.shape[1]), np.zeros(len(residuals))
     for _ in range(INNER):
-        weights = _weights((residuals - moved).reshape(3, -1), problem.size)[0]
-        step = _weighted(problem, jacobian, residuals, weights)
+        step = _weighted(problem, jacobian, residuals, moved)
         before, moved = moved, jacobian @ step
         if float(np.linalg.norm(moved - before)) < max(CLOSE**2, INEXACT * float(np.linalg.norm(moved))):
             break
     return step, float(np.linalg.norm(moved))
 
 
-def _weighted(problem: _Linear, jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
+def _weighted(problem: _Linear, jacobian: FloatArray, residuals: FloatArray, moved: FloatArray) -> FloatArray:
+    weights = _weights((residuals - moved).reshape(3, -1), problem.size)[0]
     scaled = (jacobian.reshape(3, -1, jacobian.shape[1]) * weights[:, None]).reshape(jacobian.shape)
     normal = scaled.T @ jacobian + problem.pull.T @ problem.pull
     normal.flat[:: len(normal) + 1] += RIDGE * max(float(np.trace(normal)) / max(len(normal), 1), 1.0)
@@ -276,8 +274,7 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, stated: Flo
     for _ in range(INNER):
         whitener = _whiteners(kernel, scales, problem.seen)
         jacobian, residuals = problem.whitened(whitener)
-        weights = _weights((residuals - jacobian @ step).reshape(3, -1), problem.size)[0]
-        step = _weighted(problem, jacobian, residuals, weights)
+        step = _weighted(problem, jacobian, residuals, jacobian @ step)
         rest = (residuals - jacobian @ step).reshape(3, -1)
         pulled = _pulled(whitener, rest * np.sqrt(_weights(rest, problem.size)[0]))
         size, trace = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel(), flat @ _inverse(whitener).ravel()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from calib.kinematics.along import Freedom, covariance_along, own_directions
+from calib.kinematics.uncertainty import Freedom, covariance_along, own_directions
 
 N_BLOCKS, DRAWS = 40, 150
 #: chance goes beyond these once in a thousand at 95 % of 150; lasting errors are met less exactly, by a few per cent

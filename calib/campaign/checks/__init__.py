@@ -49,7 +49,6 @@ LOAD_UNITS: Final = (
     (2.0, "the load of both wheels in each column"),
 )
 
-#: number of a run
 Run = int | np.signedinteger[Any]
 
 
@@ -69,7 +68,6 @@ def setting_note(key: str, text: str, code: str, level: str = "suspicious") -> N
     return Note.of(f"campaign.toml, {key}", text, code, level)
 
 
-#: blunders in columns, and in a setting
 implausible_column: Final = partial(column_note, code="implausible", level="wrong")
 implausible_setting: Final = partial(setting_note, code="implausible", level="wrong")
 
@@ -275,8 +273,7 @@ def sessions_of_loads(campaign: Campaign) -> list[str]:
 def load_and_session(campaign: Campaign) -> Iterator[Note]:
     """Say where loads change with the session, or in a rising or falling order."""
     label, sessions = load_label(campaign), np.unique(campaign.runs.label("session"))
-    n_loads = len(np.unique(label))
-    if n_loads < 2:
+    if len(np.unique(label)) < 2:
         return
     if len(sessions) >= 2 and not sessions_of_loads(campaign):
         text = f"""each of the {len(sessions)} sessions has one load only, so that a drift between sessions and the

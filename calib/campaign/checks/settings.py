@@ -175,11 +175,11 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     if (beyond := angle_rad > _MOST_STEERED_RAD).sum() > _SINGLE_SAMPLES * len(beyond):
         text = f"""found {np.nanmax(angle_rad):.3g} rad, and {beyond.sum()} samples beyond a whole turn; expected less;
             are they in degrees (name the column steer_deg), or of the steering wheel?"""
-        yield column_note("steer_rad", text, "implausible", "wrong", "logs")
+        yield checks.implausible_column("steer_rad", text, of="logs")
         return
     if campaign.vehicle.drive == "ackermann" and len(angle_rad) and (half := np.nanmedian(angle_rad)) > _MOST_CAR_RAD:
         text = f"found {half:.3g} rad and more in half of all samples; expected less of a car; is it 0 straight ahead?"
-        yield column_note("steer_rad", text, "implausible", "wrong", "logs")
+        yield checks.implausible_column("steer_rad", text, of="logs")
         return
     campaign = checks.on_axle(campaign)
     senses = _STEERED_SENSES if steered else _SENSES
@@ -189,8 +189,7 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
             words := _made_good(np.median(np.abs(apart[:, of]), axis=1), senses)
         ):
             text = f"in {where} counts and headings are {words}"
-            columns = f"{checks.wheel_columns(campaign)}, ref_theta_rad"
-            yield column_note(columns, text, "implausible", "wrong")
+            yield checks.implausible_column(f"{checks.wheel_columns(campaign)}, ref_theta_rad", text)
             if where == "all runs":
                 return
 

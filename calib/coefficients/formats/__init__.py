@@ -196,8 +196,7 @@ def c_number(value: float) -> str:
     return text if any(mark in text for mark in ".e") else f"{text}.0"
 
 
-def c_literal(value: float) -> str:
-    """Return a double as C reads it; negative ones in brackets."""
+def _c_literal(value: float) -> str:
     text = c_number(value)
     return f"({text})" if text.startswith("-") else text
 
@@ -206,7 +205,7 @@ def c_literal(value: float) -> str:
 def templates() -> "Environment":
     """Return the templates of this folder."""
     environment = templates_of(__name__)
-    environment.filters |= {"ascii_line": ascii_line, "c_number": c_number, "literal": c_literal, "number": number}
+    environment.filters |= {"ascii_line": ascii_line, "c_number": c_number, "literal": _c_literal, "number": number}
     # six digits are more than a variance is known to
     environment.filters["variance"] = lambda value: number(float(f"{value:.6g}"))
     return environment

@@ -190,9 +190,7 @@ FindWheel = Callable[[ModelFile, str, str], Wheel]
 
 
 @dataclass(frozen=True, slots=True)
-class NewWheels:
-    """What the wheels are set to."""
-
+class _NewWheels:
     left_m: float
     right_m: float
     track_m: float
@@ -216,8 +214,7 @@ def written(values: tuple[float, ...]) -> str:
     return " ".join(f"{value:.{DIGITS}g}" for value in values)
 
 
-def set_wheels(left: Wheel, right: Wheel, new: NewWheels) -> tuple[str, ...]:
-    """Write radii, track, and the axles' height, that the chassis keeps its own; return what could not be written."""
+def _set_wheels(left: Wheel, right: Wheel, new: _NewWheels) -> tuple[str, ...]:
     for wheel, radius in ((left, new.left_m), (right, new.right_m)):
         if not 1.0 / FACTOR < wheel.radius_m / radius < FACTOR:
             raise RefusedError(
@@ -282,7 +279,7 @@ def _further_wheels(model: ModelFile, set_ones: tuple[Wheel, Wheel], wheel: Find
 
 
 #: parameters of drive plugins and of ros2_control, and what they are of radii and track
-PLUGIN_KEYS: Final[dict[str, Callable[[NewWheels], float]]] = {
+PLUGIN_KEYS: Final[dict[str, Callable[[_NewWheels], float]]] = {
     **dict.fromkeys(("wheel_radius", "wheelRadius"), lambda new: 0.5 * (new.left_m + new.right_m)),
     "left_wheel_radius": lambda new: new.left_m,
     "right_wheel_radius": lambda new: new.right_m,
@@ -320,11 +317,11 @@ def patched(
     model = ModelFile(options.model, root_tag)
     reference = LoadPair(file.wheels.left.reference_load.value, file.wheels.right.reference_load.value)
     asked = options.loads[0] if options.loads else LoadPair(*formats.within_N(file, reference))
-    new = NewWheels(*radii_m(file, asked), file.vehicle.track.value)
+    new = _NewWheels(*radii_m(file, asked), file.vehicle.track.value)
     pair = LoadPair(*formats.within_N(file, asked))
     clamped = (pair.left_N, pair.right_N) != (asked.left_N, asked.right_N)
     left, right = wheel(model, options.left, "--left"), wheel(model, options.right, "--right")
-    notes = [*set_wheels(left, right, new), *_further_wheels(model, (left, right), wheel)]
+    notes = [*_set_wheels(left, right, new), *_further_wheels(model, (left, right), wheel)]
     for node in _plugin_parameters(model):
         name = node.attributes.get("name", "") if node.tag == "param" else node.tag
         if name in PLUGIN_KEYS:

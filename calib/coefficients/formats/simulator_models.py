@@ -14,13 +14,9 @@ ROUND: Final = frozenset({"cylinder", "sphere", "capsule"})
 TURNS: Final = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 
 
-def link_radii(
+def _link_radii(
     model: ModelFile, link: Node | None, name: str, radius: Callable[[Node], Slot | None]
 ) -> tuple[float, tuple[Slot, ...]]:
-    """Return the radius of a wheel's link, of its collision where that is round, and all shapes that have the same.
-
-    `radius`: the number of a round shape; None where it states none.
-    """
     found: dict[str, list[Slot]] = {"collision": [], "visual": []}
     for part in () if link is None else link.children:
         if part.tag in found:
@@ -33,16 +29,14 @@ def link_radii(
     return largest, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == largest)
 
 
-def off_zero(place: str) -> bool:
-    """Return whether a place, three numbers first, is another than zero."""
+def _off_zero(place: str) -> bool:
     return any(part.strip("-+0.") for part in place.split()[:3])
 
 
-def sits_off(link: Node | None) -> bool:
-    """Return whether the collision of a URDF's or SDF's link is placed off the link's frame."""
+def _sits_off(link: Node | None) -> bool:
     for part in () if link is None else link.children:
         place = part.child("origin") or part.child("pose") if part.tag == "collision" else None
-        if place is not None and off_zero(place.attributes.get("xyz", place.text)):
+        if place is not None and _off_zero(place.attributes.get("xyz", place.text)):
             return True
     return False
 
@@ -59,7 +53,7 @@ def _of_urdf(model: ModelFile, name: str, option: str) -> Wheel:
         values = numbers(shape.attributes["radius"], f"{model.path}, radius of {name!r}", 1)
         return Slot(values, lambda new: model.set_attribute(shape, "radius", written(new)))
 
-    radius, slots = link_radii(model, link, name, stated)
+    radius, slots = _link_radii(model, link, name, stated)
     frame = _link(joint, "parent")
     tilted = _tilted(model, joints, frame)
     assert link is not None
@@ -73,7 +67,7 @@ def _of_urdf(model: ModelFile, name: str, option: str) -> Wheel:
             model.set_attribute(origin, "xyz", written(values))
 
     place = Slot(_origin(model, joint, "xyz", name), write)
-    return Wheel(name, link, radius, slots, place, frame=frame, beside=sits_off(link))
+    return Wheel(name, link, radius, slots, place, frame=frame, beside=_sits_off(link))
 
 
 def _origin(model: ModelFile, joint: Node, attribute: str, name: str) -> tuple[float, ...]:
@@ -112,7 +106,7 @@ def _of_sdf(model: ModelFile, name: str, option: str) -> Wheel:
         radius = shape.child("radius")
         return None if radius is None else text_slot(model, radius, f"radius of {name!r}", 1)
 
-    radius, slots = link_radii(model, link, name, stated)
+    radius, slots = _link_radii(model, link, name, stated)
     pose, why = _pose(link)
     if pose is None:
         inside = _inside(model, link, name) if link.child("pose") is None else None
@@ -120,7 +114,7 @@ def _of_sdf(model: ModelFile, name: str, option: str) -> Wheel:
     placed = text_slot(model, pose, f"pose of {name!r}")
     frame = pose.attributes.get("relative_to", "")
     position = Slot(placed.values[:3], lambda new: placed.write((*new, *placed.values[3:])))
-    return Wheel(name, link, radius, slots, position, frame=(link.parent, frame), beside=sits_off(link))
+    return Wheel(name, link, radius, slots, position, frame=(link.parent, frame), beside=_sits_off(link))
 
 
 def _child_link(joint: Node) -> Node | None:
@@ -189,7 +183,7 @@ def _of_mjcf(model: ModelFile, name: str, option: str) -> Wheel:
         return Wheel(name, body, radius, slots, None, why_fixed=why)
     place = numbers(body.attributes.get("pos", "0 0 0"), f"{model.path}, pos of {name!r}", 3)
     position = Slot(place, lambda values: model.set_attribute(body, "pos", written(values)))
-    off = any(off_zero(_inherited(model, geom, "pos") or "") for geom, shape in sizes if shape[0] == radius)
+    off = any(_off_zero(_inherited(model, geom, "pos") or "") for geom, shape in sizes if shape[0] == radius)
     return Wheel(name, body, radius, slots, position, frame=body.parent, beside=off)
 
 

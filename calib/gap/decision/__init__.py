@@ -42,7 +42,7 @@ def most_square(n_readings: int, dof: float = 0.0) -> float:
 class Trial:
     """The correction on one value held out: a route, speed, load, direction or session."""
 
-    left_out: str  #: what was held out
+    left_out: str
     value: str
     before_rms_m: float | None  #: root mean square of end positions (else distances) without it
     after_rms_m: float | None
@@ -147,7 +147,6 @@ def _joined(values: StrArray) -> StrArray:
     names, first, index = np.unique(values, return_index=True, return_inverse=True)
     if len(names) <= MOST_VALUES:
         return values
-    rank = np.argsort(np.argsort(first))[index]
-    group = rank * MOST_VALUES // len(names)
+    group = np.argsort(np.argsort(first))[index] * MOST_VALUES // len(names)
     ends = [values[group == k] for k in range(MOST_VALUES)]
     return np.array([part[0] if part[0] == part[-1] else f"{part[0]} to {part[-1]}" for part in ends])[group]

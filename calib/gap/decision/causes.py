@@ -32,7 +32,6 @@ from calib.types import FloatArray, few_digits
 #: a cause below this signal and this share of a larger one's, whose form may err by so much of its size (`FORM_ERROR`),
 #: may be that error; radii and track have no form that errs
 WEAK_SIGNAL: Final = 10.0
-#: places and covariates named of it
 MOST_PLACES: Final = 3
 MOST_COVARIATES: Final = 2
 
@@ -187,14 +186,6 @@ def _means(form: Form, theta: FloatArray, covariance: FloatArray, coverage: floa
         if left.name.replace("left", "right") == right.name and not alone and abs(mean) > half:
             means[left.name.replace("left", "mean")] = Quantity(mean, (mean - half, mean + half), left.unit)
     return means
-
-
-def jointly_zero(values: FloatArray, covariance: FloatArray, dof: float) -> bool:
-    """Return whether the 95 % region of sizes (k,) of a covariance (k, k) holds zero."""
-    from scipy.special import fdtri
-
-    square = float(values @ np.linalg.solve(covariance, values))
-    return square <= len(values) * float(fdtri(len(values), max(dof, 3.0), 0.95))
 
 
 def blunder_cause(fault: Blunder | Mounting) -> Cause:

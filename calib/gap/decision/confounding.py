@@ -208,8 +208,7 @@ def _ends(evidence: Evidence, fitted: Fitted) -> FloatArray:
     declared = evidence.situation.campaign.extra.get("effects", ())
     perturbations, _ = applied_perturbations(journeys, sections, declared=declared)
     path = predict(journeys, [*calibration_pushes(journeys, fitted.calibration, None), *perturbations])
-    to_come = ~np.isin(journeys.labels["run_id"], evidence.observations.labels["run_id"])
-    return path.end[to_come, :2]
+    return path.end[~np.isin(journeys.labels["run_id"], evidence.observations.labels["run_id"]), :2]
 
 
 def agreement_m(evidence: Evidence, groups: Sequence[Sequence[str]]) -> float | None:

@@ -56,11 +56,11 @@ class Evidence:
     situation: Situation
     judged_against: str  #: model, simulator or file of the simulated motion
     nominal: Path  #: the model alone
-    noise: Noise  #: covariance of each observation
+    noise: Noise
     effects: Mapping[str, Effect]
-    search: SearchResult  #: sets of effects, with probabilities
+    search: SearchResult
     recalibration: Recalibration  #: calibration parameters off beside the most probable set
-    held_out: HeldOut  #: the gap before and after on held-out runs
+    held_out: HeldOut
     trials: tuple[Trial, ...]  #: on routes, speeds, loads, directions and sessions held out in turn
     where: GapLocation
     #: runs driven, then runs to come, on which corrections of confounded effects are compared
@@ -178,7 +178,7 @@ class Cause:
     effect: str
     title: str  #: for people
     form: str  #: best-fitting form; empty where there is one only
-    probability: float  #: that the effect is at work
+    probability: float
     share: float  #: of the gap above the noise level (whitened squares)
     #: whitened norm beside a free recalibration (of the calibration's own parameters: without it)
     signal: float
@@ -238,7 +238,7 @@ class NoiseSummary:
 
     dof: float = 0.0  #: from replicates
     scales: Mapping[str, float] = field(default_factory=dict)
-    supported: bool = True  #: whether the runs support a noise level
+    supported: bool = True
     support: str = ""  #: by what, in words; else why not
     excess: Mapping[str, float] = field(default_factory=dict)  #: channel -> noise level over the stated sigmas'
     #: a sentence where it is far above the stated sigmas
@@ -262,14 +262,14 @@ class Diagnosis(Result):
     credible_sets: tuple[tuple[str, ...], ...] = ()
     #: confounded effects, the named one first
     groups: tuple[tuple[str, ...], ...] = field(default=(), metadata={"json": "indistinguishable"})
-    undetectable: tuple[DetectionLimit, ...] = ()  #: effects not shown at typical size
+    undetectable: tuple[DetectionLimit, ...] = ()
     where: GapLocation = field(default_factory=GapLocation)
-    closure: Closure = field(default_factory=Closure)  #: on held-out runs
+    closure: Closure = field(default_factory=Closure)
     unexplained: Unexplained | None = field(default=None, metadata={"json": "rest"})
     #: of a gap explained in part, on held-out runs
     left: Unexplained | None = field(default=None, metadata={"json": False})
-    fix: Fix = field(default_factory=Fix)  #: what the correction is worth
-    next_runs: tuple[PlannedRun, ...] = ()  #: to drive next, best first
+    fix: Fix = field(default_factory=Fix)
+    next_runs: tuple[PlannedRun, ...] = ()
     notes: tuple[str, ...] = ()  #: what was excluded or assumed
     correct_first: tuple[str, ...] = ()  #: by the check, on data that name no cause
     noise_level: NoiseSummary = field(default_factory=NoiseSummary, metadata={"json": "noise"})
@@ -277,7 +277,7 @@ class Diagnosis(Result):
     probabilities: Mapping[str, float] = field(default_factory=dict)
     judged_against: str = BY_MODEL  #: ``model``, ``sim columns of runs.csv``, or a coefficient file
     campaign: str = ""
-    simulated: bool = False  #: whether a program made its data
+    simulated: bool = False
     gap_probability: float | None = None  #: of any gap; None if unknown
     #: arrays for figures, corrections and planning; None in one written by hand
     evidence: Evidence | None = field(default=None, metadata={"json": False})

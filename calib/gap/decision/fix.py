@@ -10,7 +10,7 @@ from calib.gap.decision.causes import Finding
 from calib.gap.decision.constancy import SET_WITH_SESSIONS
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
 from calib.gap.decision.held_out import Closure, Improvement
-from calib.gap.decision.kind import corrections_agree, fails
+from calib.gap.decision.kind import fails
 from calib.gap.effects import Family
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.reference import BeamMisalignment, RangefinderScale, ReferenceScale
@@ -141,8 +141,7 @@ def beyond_vehicles(cause: Cause) -> Iterator[str]:
 
 def improbable(causes: Sequence[Cause], found: Finding) -> Cause | None:
     """Return the least probable cause where it or all together are less probable than a fix asks, else None."""
-    further = sorted(causes, key=lambda cause: -cause.share)[1:]
-    least = min(further, key=found.probability, default=None)
+    least = min(sorted(causes, key=lambda cause: -cause.share)[1:], key=found.probability, default=None)
     if least is not None and found.probability(least) < FURTHER_PROBABILITY:
         return least
     return min(causes, key=found.probability) if prod(map(found.probability, causes)) < FIX_PROBABILITY else None
@@ -315,10 +314,11 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
         )
     # a scale grows with the way: what agrees here does not on longer runs
     by_tape = any(tuple(group[:3]) == confounding.SCALED for group in tied)
-    if apart_m is None or (corrections_agree(apart_m, closure) and not by_tape):
+    noise_m = closure.floor_rms_m or 0.0
+    if apart_m is None or (apart_m <= noise_m and not by_tape):
         return
     groups = "; ".join(map(_either, tied))
     yield (
         f"these runs cannot tell {groups}, and their corrections differ by {few_digits(1e3 * apart_m)} mm at the end "
-        f"of the {on} (noise {few_digits(1e3 * (closure.floor_rms_m or 0.0))} mm); {TAPE if by_tape else PLAN}"
+        f"of the {on} (noise {few_digits(1e3 * noise_m)} mm); {TAPE if by_tape else PLAN}"
     )

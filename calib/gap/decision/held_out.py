@@ -77,8 +77,7 @@ class Closure:
     @property
     def leaves_part(self) -> bool:
         """Whether part of the gap is left, beyond the closure's interval."""
-        high = self.ci95[1] if self.ci95 else 1.0
-        return high < FULL_CLOSURE or self.largest_residual > NOISE_LEVELS
+        return (self.ci95[1] if self.ci95 else 1.0) < FULL_CLOSURE or self.largest_residual > NOISE_LEVELS
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
@@ -168,8 +167,7 @@ def measure_closure(
     def closing(after: FloatArray, by: str) -> HeldOut:
         return closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
 
-    measured = before if as_counted is None else as_counted
-    improvement = _improvement(left_out, measured, after, floor_factor)
+    improvement = _improvement(left_out, before if as_counted is None else as_counted, after, floor_factor)
     return replace(closing(after, by), improvement=improvement, closing=lambda *other: closing(*other).closure)
 
 

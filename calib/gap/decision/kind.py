@@ -54,11 +54,6 @@ def fails(trial: Trial) -> bool:
     return beyond_chance and residual > (1.0 - ADEQUATE_CLOSURE) * gap
 
 
-def corrections_agree(agreement_m: float | None, closure: Closure) -> bool:
-    """Return whether corrections of confounded effects differ by no more than the noise level."""
-    return agreement_m is not None and agreement_m <= (closure.floor_rms_m or 0.0)
-
-
 def hides_causes(closure: Closure, unexplained_share: float | None) -> bool:
     """Return whether the closure cannot support causes: each then needs a high probability."""
     if unexplained_share is not None and (closure.fraction is None or closure.fraction < HIDDEN_CLOSURE):

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.gap.decision import Trial, confounding, most_square, trials
 from calib.gap.decision import fix as rule
-from calib.gap.decision.causes import Finding, jointly_zero
+from calib.gap.decision.causes import Finding
 from calib.gap.decision.constancy import half_of_steps
 from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity
 from calib.gap.decision.held_out import Improvement, improvement_of, left_with_others
@@ -145,10 +145,14 @@ def _resized(evidence: Evidence, fitted: Fitted) -> Iterator[str]:
 
 
 def _others_at_zero(evidence: Evidence, names: Collection[str]) -> bool:
+    # whether the 95 % region of their sizes holds zero
+    from scipy.special import fdtri
+
     values, covariance = _relative(evidence.fitted)
     moved = _moved_by(evidence, names)
     held = [k for k, name in enumerate(NAMES) if name not in moved]
-    return jointly_zero(values[held], covariance[np.ix_(held, held)], evidence.noise.dof)
+    square = float(values[held] @ np.linalg.solve(covariance[np.ix_(held, held)], values[held]))
+    return square <= len(held) * float(fdtri(len(held), max(evidence.noise.dof, 3.0), 0.95))
 
 
 def _relative(fitted: Fitted) -> tuple[FloatArray, FloatArray]:

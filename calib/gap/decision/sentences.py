@@ -100,8 +100,7 @@ def nothing_to_apply(diagnosis: Diagnosis) -> str:
 
 
 def _unsupported(diagnosis: Diagnosis) -> str:
-    support = diagnosis.noise_level.support
-    return f"their noise level rests on {support}. {_capital(REPEAT)}"
+    return f"their noise level rests on {diagnosis.noise_level.support}. {_capital(REPEAT)}"
 
 
 def _nearest(diagnosis: Diagnosis) -> str:
@@ -130,8 +129,7 @@ def _unexplained(diagnosis: Diagnosis) -> str:
             return "part of the gap remains on held-out runs"
         return "part of it may have another cause"
     placed = next((place for place in diagnosis.unexplained.where if place.startswith(ON_FLOOR)), "")
-    where = _located(diagnosis.where.rest) or (placed and f", most {placed}")
-    return f"an unexplained residual remains{where}"
+    return "an unexplained residual remains" + (_located(diagnosis.where.rest) or (placed and f", most {placed}"))
 
 
 def advice(diagnosis: Diagnosis) -> str:
@@ -172,19 +170,22 @@ def _capital(text: str) -> str:
     return text if "_" in text.partition(" ")[0] else f"{text[:1].upper()}{text[1:]}"
 
 
+def _effects(diagnosis: Diagnosis) -> set[str]:
+    return {cause.effect for cause in diagnosis.causes}
+
+
 def _unidentified(diagnosis: Diagnosis) -> int:
-    named = {cause.effect for cause in diagnosis.causes}
+    named = _effects(diagnosis)
     sizes = [len(group) for group in diagnosis.groups if named.issubset(group)]
     return max((size for size in sizes if size > LARGEST_GROUP), default=0)
 
 
 def _listed(causes: Sequence[Cause]) -> str:
-    labels = (f"{cause.effect}: {cause.form}" if isinf(cause.signal) else _with_forms(cause) for cause in causes)
-    return joined((f"{cause.title} ({label})" for cause, label in zip(causes, labels, strict=True)), "and")
+    def label(cause: Cause) -> str:
+        open_forms = cause.forms_open if cause.probability < CERTAIN_PROBABILITY else ()
+        return f"{cause.effect}: {cause.form}" if isinf(cause.signal) else joined([cause.effect, *open_forms], "or")
 
-
-def _with_forms(cause: Cause) -> str:
-    return joined([cause.effect, *(cause.forms_open if cause.probability < CERTAIN_PROBABILITY else ())], "or")
+    return joined((f"{cause.title} ({label(cause)})" for cause in causes), "and")
 
 
 def joined(parts: Iterable[str], word: str) -> str:
@@ -201,7 +202,7 @@ def _named(effect: str, diagnosis: Diagnosis) -> str:
 def _ambiguous(diagnosis: Diagnosis) -> str:
     if most := _unidentified(diagnosis):
         return f"There is a gap, but these runs do not identify its cause: {most} effects explain it equally well"
-    confounded = {effect for group in diagnosis.groups for effect in group}
+    confounded = set().union(*diagnosis.groups)
     sure = [cause for cause in diagnosis.causes if cause.effect not in confounded]
     groups = [joined(_choices(group, diagnosis), "or") for group in diagnosis.groups]
     several = bool(sure) or len(groups) > 1
@@ -211,13 +212,13 @@ def _ambiguous(diagnosis: Diagnosis) -> str:
 
 
 def _choices(effects: Sequence[str], diagnosis: Diagnosis) -> list[str]:
-    causes = {cause.effect for cause in diagnosis.causes}
+    causes = _effects(diagnosis)
     together = joined((_named(effect, diagnosis) for effect in effects if effect in causes), "with")
     return [*filter(None, [together]), *_others(effects, diagnosis)]
 
 
 def _others(effects: Sequence[str], diagnosis: Diagnosis) -> list[str]:
-    causes = {cause.effect for cause in diagnosis.causes}
+    causes = _effects(diagnosis)
     others = [_named(effect, diagnosis) for effect in effects if effect not in causes]
     return others if len(effects) <= LARGEST_GROUP else [f"{len(others)} other effects"]
 
@@ -225,7 +226,7 @@ def _others(effects: Sequence[str], diagnosis: Diagnosis) -> list[str]:
 def _alternatives(diagnosis: Diagnosis) -> str:
     if most := _unidentified(diagnosis):
         return f", whose cause these runs do not identify (up to {most} effects explain it equally well)"
-    named = {cause.effect for cause in diagnosis.causes}
+    named = _effects(diagnosis)
     pairs = [
         f"{joined((effect for effect in group if effect in named), 'and')} from {others}"
         for group in diagnosis.groups
@@ -279,7 +280,7 @@ def _recalibration(diagnosis: Diagnosis) -> str:
     others = [cause for cause in diagnosis.causes if cause.effect not in HIDES_IN]
     if own and not others and diagnosis.kind is VerdictKind.EXPLAINED and not diagnosis.fix.why:
         return f" A plain recalibration of {joined((HIDES_IN[name] for name in own), 'and')} closes it."
-    confounded = {effect for group in diagnosis.groups for effect in group} & HIDES_IN.keys()
+    confounded = set().union(*diagnosis.groups) & HIDES_IN.keys()
     hidden = sorted(confounded - set(own)) if others else []
     names = joined((HIDES_IN[name] for name in hidden), "and")
     return f" These runs cannot tell it from an error of {names}." if hidden else ""
@@ -303,8 +304,7 @@ class PaperHeadline:
 
 def headline(diagnosis: Diagnosis) -> PaperHeadline | None:
     """Return the paper's headline beside a diagnosis'; None where load is not the cause."""
-    laws = (cause.effect for cause in diagnosis.causes if effect_class(cause.effect).is_load_law)
-    effect = next(laws, None)
+    effect = next((cause.effect for cause in diagnosis.causes if effect_class(cause.effect).is_load_law), None)
     before, after = diagnosis.closure.before_rms_m, diagnosis.closure.after_rms_m
     if effect is None or before is None or after is None:
         return None

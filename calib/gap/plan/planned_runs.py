@@ -60,12 +60,7 @@ def route_of(kind: str, dimensions: Dimensions | None = None) -> Route:
 
     `kind`: ``corridor`` (and its lanes ``corridor_b`` ...), ``corridor_short``, ``square_cw``, ``square_ccw``,
     ``figure8``, ``route_left``, ``route_right``, ``circle_left``, ``circle_right``, or a named route of ``calib
-    simulate``.
-
-    Raises
-    ------
-    BadInputError
-        Where there is no such route.
+    simulate``. Raises BadInputError where there is no such route.
     """
     dimensions = dimensions or Dimensions()
     if kind == "corridor" or kind.startswith("corridor_"):
@@ -282,8 +277,7 @@ def _both_sides(
     encoder: Encoder, distance_m: FloatArray, half_m: FloatArray, radii_m: Sequence[FloatArray | float]
 ) -> tuple[FloatArray, FloatArray]:
     left = (distance_m - half_m) / radii_m[0] * encoder.counts_per_rev_left / (2 * np.pi)
-    right = (distance_m + half_m) / radii_m[1] * encoder.counts_per_rev_right / (2 * np.pi)
-    return left, right
+    return left, (distance_m + half_m) / radii_m[1] * encoder.counts_per_rev_right / (2 * np.pi)
 
 
 def _steered(

@@ -33,7 +33,6 @@ LEGEND_LIMIT: Final = 8
 #: more markers are pixels inside the vector figure
 MANY: Final = 2000
 LEGEND_GAP: Final = 6
-#: characters in a legend
 LABEL_LIMIT: Final = 18
 
 

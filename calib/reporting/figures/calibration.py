@@ -29,7 +29,6 @@ MM: Final = 1e3
 UM: Final = 1e6
 PPM: Final = 1e6
 WHEELS: Final = ("left", "right")
-#: smallest excess drawn
 LEAST_EXCESS_PPM: Final = 1e-4
 NO_SESSION: Final = "(no session)"
 #: light to dark, told apart in print and by colour-blind readers
@@ -219,13 +218,10 @@ def budget_bars(budget: Sequence[Component]) -> Figure:
 COLUMNS: Final = 3
 PANEL_CM: Final = 4.8
 LONE_PANEL_CM: Final = 8.5
-#: paths a panel
 MOST_PATHS: Final = 12
-#: runs a figure with residuals in time
 MOST_RUNS: Final = 6
 #: of a line: a panel's width in half points
 MOST_POINTS: Final = 200
-#: beside its residuals
 NAME_LENGTH: Final = 10
 #: parameters whose correlations have room for a zero before the point
 MOST_WITH_ZERO: Final = 6

@@ -254,10 +254,8 @@ def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, Floa
     values, index = np.unique(x, return_inverse=True)
     if len(values) > 8:
         index = np.searchsorted(np.quantile(x, np.linspace(0, 1, 9)[1:-1]), x, side="right")
-    rows: list[tuple[float, float, float]] = []
-    for on in (index == k for k in np.unique(index)):
-        half = half_of_mean(y[on]) if on.sum() > 1 else 0.0
-        rows.append((float(x[on].mean()), float(y[on].mean()), half))
+    classes = [(x[index == k], y[index == k]) for k in np.unique(index)]
+    rows = [(here.mean(), there.mean(), half_of_mean(there) if len(there) > 1 else 0.0) for here, there in classes]
     centre, mean, error = np.array(rows).T
     return centre, mean, error
 

@@ -73,13 +73,13 @@ def diagnosis_content(verdict: Diagnosis, gap: "GapArrays | None" = None) -> tup
     return (
         verdict_notice(verdict),
         Text(reporting.paragraph("noise_level"), small=True),
-        *(map_picture(gap) if gap else ()),
+        *(_map_picture(gap) if gap else ()),
         *findings.where_blocks(verdict.where),
-        *(covariate_picture(gap, verdict) if gap else ()),
+        *(_covariate_picture(gap, verdict) if gap else ()),
         *findings.cause_blocks(verdict),
         *findings.confounded_blocks(verdict),
         *findings.closure_blocks(verdict),
-        *(before_after_picture(gap) if gap else ()),
+        *(_before_after_picture(gap) if gap else ()),
         *findings.limit_blocks(verdict),
         *next_runs,
         *((Text("Notes:"), *items(map(prose, verdict.notes))) if verdict.notes else ()),
@@ -94,8 +94,7 @@ def gap_section(verdict: Diagnosis, gap: "GapArrays | None" = None) -> Section:
     return Section("Diagnosis of the gap", diagnosis_content(verdict, gap))
 
 
-def map_picture(gap: "GapArrays") -> list[Picture]:
-    """Return the gap on the floor plan."""
+def _map_picture(gap: "GapArrays") -> list[Picture]:
     if gap.offset_m is None:
         return []
     largest = length(float(np.nanmax(np.hypot(*gap.offset_m.T), initial=0.0)))
@@ -103,8 +102,7 @@ def map_picture(gap: "GapArrays") -> list[Picture]:
     return [picture("gap-map", alt, "gap.gap_map", gap.paths_m, gap.offset_m, gap.labels["kind"])]
 
 
-def covariate_picture(gap: "GapArrays", verdict: Diagnosis) -> list[Picture]:
-    """Return the channel furthest above its noise, against what varied."""
+def _covariate_picture(gap: "GapArrays", verdict: Diagnosis) -> list[Picture]:
     from calib.reporting.figures.gap import MAX_PANELS, distinct, rms
 
     lines = sorted(verdict.where.covariates, key=lambda line: not line.significant)
@@ -133,8 +131,7 @@ def covariate_picture(gap: "GapArrays", verdict: Diagnosis) -> list[Picture]:
     return [Picture("gap-by-covariate", caption("gap-by-covariate", title=title, aside=aside), alt, draw)]
 
 
-def before_after_picture(gap: "GapArrays") -> list[Picture]:
-    """Return every run's gap before and after the correction."""
+def _before_after_picture(gap: "GapArrays") -> list[Picture]:
     if not np.isfinite(gap.before).any():
         return []
     from calib.reporting.figures.gap import rms

@@ -29,10 +29,10 @@ def fit_content(fit: Fit, *, runs: bool = False) -> tuple[Block | Section, ...]:
         reporting.Heading(f"{fit.name}: {plural(len(fit.radii), 'run')} in {plural(sessions, 'session')}"),
         *([reporting.simulated_notice()] if fit.simulated else []),
         law_table(fit),
-        single_run_text(fit),
+        _single_run_text(fit),
         Text(" ".join(map(quality_text, fit.wheels.values()))),
         *([static_table(fit)] if fit.static else []),
-        checks_table(fit),
+        _checks_table(fit),
         *([radius_budget(fit)] if fit.radii.budget else []),
         *([runs_table(fit)] if runs else []),
         *items(map(prose, fit.notes)),
@@ -67,8 +67,10 @@ def result_section(source: "Source") -> Section:
     ranges = [span(one.load_min_N, one.load_max_N, "N", ".0f") for one in laws]
     loads = ranges[0] if ranges[0] == ranges[1] else f"{ranges[0]} (left wheel) and {ranges[1]} (right wheel)"
     holds = Text(reporting.paragraph("law_holds", loads=loads, runs=len(fit.radii)))
-    assumed = assumed_notice(source.setup.assumed)
-    return Section("Result", (law_table(fit), holds, single_run_text(fit), usable_notice(fit), *assumed, *_gap(source)))
+    assumed = _assumed_notice(source.setup.assumed)
+    return Section(
+        "Result", (law_table(fit), holds, _single_run_text(fit), usable_notice(fit), *assumed, *_gap(source))
+    )
 
 
 def assumed_text(assumed: Mapping[str, str]) -> Text:
@@ -80,8 +82,7 @@ def assumed_text(assumed: Mapping[str, str]) -> Text:
     )
 
 
-def assumed_notice(assumed: Mapping[str, str]) -> tuple[Notice, ...]:
-    """Return a notice where every result scales with an assumed value."""
+def _assumed_notice(assumed: Mapping[str, str]) -> tuple[Notice, ...]:
     weighty = {key: value for key, value in assumed.items() if key in WEIGHTY}
     if not weighty:
         return ()
@@ -127,12 +128,10 @@ def fit_brief(fit: Fit) -> tuple[Block, ...]:
 
 
 _LEVELS: Final = {"ok": "passed", "note": "remark", "failed": "FAILED"}
-#: beside the result
 MAX_REMARKS: Final = 3
 
 
-def checks_table(fit: Fit) -> Table:
-    """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
+def _checks_table(fit: Fit) -> Table:
     listed = [(wheel, check) for wheel, fitted in fit.wheels.items() for check in fitted.checks]
     names = list(dict.fromkeys(check.name for _, check in listed))
     alike = grouped(((names.index(one.name), one.level, one.sentence), (wheel, one)) for wheel, one in listed)
@@ -170,9 +169,9 @@ def usable_notice(fit: Fit) -> Notice:
 
 
 def residuals_section(source: "Source") -> Section:
-    """Return the checks of both wheels: verdict, statistic, and what it means for the user."""
+    """Return the residuals, and the checks of both wheels."""
     fit = source.fit
-    return Section("Residual checks", (residuals_picture(fit), checks_table(fit)))
+    return Section("Residual checks", (residuals_picture(fit), _checks_table(fit)))
 
 
 def decision_section(source: "Source") -> Section:
@@ -237,8 +236,7 @@ def _row(fit: WheelFit) -> tuple[str, ...]:
     return (str(fit.law.n_runs), loads, *cells)
 
 
-def single_run_text(fit: Fit) -> Text:
-    """Return a further run's prediction interval in mid load range."""
+def _single_run_text(fit: Fit) -> Text:
     parts = []
     line = any(wheel.model == "line" for wheel in fit.wheels.values())
     for name, wheel in fit.wheels.items():
@@ -295,7 +293,6 @@ def budget_picture(fit: Fit) -> Picture:
 
 #: more runs make the report's table one of sessions
 MOST_ROWS: Final = 200
-#: for one reason
 MOST_NAMED: Final = 12
 
 

@@ -132,9 +132,8 @@ def _transfer(verdict: Diagnosis) -> Table:
     return table(caption("table-transfer", where=where), (head, "<Which", "Before", "After"), rows)
 
 
-#: in a table; the JSON has them all
+#: in a table, and in one sentence; the JSON has them all
 MAX_CAUSES: Final = 24
-#: in one sentence; the JSON has them all
 MAX_SETS: Final = 8
 
 

@@ -28,7 +28,7 @@ _ROUTE: Final = (
 def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
     """Return the result as blocks."""
     said = (Text(_heading(geometry)), *items(verdict_sentences(geometry)), parameter_table(geometry))
-    return (*said, *items(geometry_sentences(geometry)), *route_tables(geometry))
+    return (*said, *items(geometry_sentences(geometry)), *_route_tables(geometry))
 
 
 def parameter_table(geometry: Geometry) -> Table:
@@ -40,8 +40,7 @@ def parameter_table(geometry: Geometry) -> Table:
     return table(f"Parameters, with 95 % intervals.{said}", heads, rows, dense=True)
 
 
-def route_tables(geometry: Geometry) -> tuple[Table, ...]:
-    """Return the residuals by route, and of held-out runs."""
+def _route_tables(geometry: Geometry) -> tuple[Table, ...]:
     caption = "Residuals by route: root mean square of position and heading."
     routes = table(caption, _ROUTE, map(_route_cells, geometry.routes), dense=True)
     rows = [
@@ -90,11 +89,10 @@ def geometry_sentences(geometry: Geometry) -> list[str]:
         lines.append(f"Not identifiable from these runs, near the nominal value: {kept}.")
     if geometry.outliers:
         lines.append(f"Outliers, down-weighted: {', '.join(geometry.outliers)}.")
-    return [*lines, *geometry_remarks(geometry)]
+    return [*lines, *_geometry_remarks(geometry)]
 
 
-def geometry_remarks(geometry: Geometry) -> list[str]:
-    """Return delays, the UMBmark of squares, and notes."""
+def _geometry_remarks(geometry: Geometry) -> list[str]:
     lines = []
     if geometry.delays:
         delays = ", ".join(f"{one.label} {one.value_s:.4f} s" for one in geometry.delays)
@@ -142,13 +140,13 @@ def geometry_sections(geometry: Geometry, found: Sequence[Notice], *, withheld: 
         *found,
         Facts(_estimated_from(geometry)),
         *([Text(paragraph("geometry_withheld"))] if withheld else [parameter_table(geometry)]),
-        *items(map(prose, geometry.notes if withheld else geometry_remarks(geometry))),
+        *items(map(prose, geometry.notes if withheld else _geometry_remarks(geometry))),
     )
     left = (
         Text("Residuals are measured less predicted: along and across the path, and in heading.", small=True),
         *_path_pictures(geometry.paths),
         *_residual_pictures(geometry.paths),
-        *route_tables(geometry),
+        *_route_tables(geometry),
     )
     sections = [Section("Result", result), Section("Residuals", left)]
     if len(geometry.estimates) > 1 and not withheld:

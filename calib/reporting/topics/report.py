@@ -66,7 +66,6 @@ def preparation_of(notes: Any) -> Section | None:
     return Section("Preparation of the data", (head, *items(sentences)))
 
 
-#: in a report
 MOST_NOTES: Final = 20
 _CONDITIONS = {
     "temperature_C": ("Temperature of the hall", "°C", ".1f"),
@@ -229,8 +228,7 @@ def _correlation(wheel: WheelFit) -> str:
     return f"{wheel.wheel.capitalize()} wheel: correlation of radius and slope {correlation}, measured at {valid}."
 
 
-def law_budget(fit: Fit) -> reporting.Table:
-    """Return what scatter and systematic sources contribute to the coefficients."""
+def _law_budget(fit: Fit) -> reporting.Table:
     systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
     rows = []
     for name, wheel in fit.wheels.items():
@@ -258,5 +256,5 @@ def budget_section(source: Source) -> Section:
     """Return what the uncertainty is made of."""
     fit = source.fit
     declared = Text(paragraph("declared" if any(": " in part.name for part in fit.radii.budget) else "undeclared"))
-    blocks = (results.radius_budget(fit), results.budget_picture(fit), law_budget(fit), declared, *_scatter(fit))
+    blocks = (results.radius_budget(fit), results.budget_picture(fit), _law_budget(fit), declared, *_scatter(fit))
     return Section("Uncertainty budget", blocks)

@@ -20,8 +20,7 @@ from calib.reporting.topics import fit as results
 from calib.types import FloatArray, grouped
 
 
-def sessions_table(fit: Fit) -> Table:
-    """Return a row a session, for many runs."""
+def _sessions_table(fit: Fit) -> Table:
     heads = ("^Loads | {} (N)", "Mean residual | {} (µm)", "Scatter | {} (µm)")
     rows = []
     for name, part in fit.table.groupby("session", sort=False):
@@ -42,7 +41,7 @@ def runs_section(source: Source) -> Section:
     content = (
         Text(f"{plural(len(radii), 'run')} in {sessions} entered the fit."),
         results.runs_picture(fit),
-        results.runs_table(fit) if len(radii) <= results.MOST_ROWS else sessions_table(fit),
+        results.runs_table(fit) if len(radii) <= results.MOST_ROWS else _sessions_table(fit),
         results.left_out_table(fit) if radii.left_out else Text("All runs were used.", small=True),
     )
     return Section("Runs", (*content, *([results.static_table(fit)] if fit.static else [])))
