@@ -6,7 +6,7 @@ import re
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
@@ -252,13 +252,18 @@ def _invoke(arguments: list[str]) -> int:
         build(typed[1:])(args=arguments, prog_name="calib", standalone_mode=False)
         return EXIT_FINE
     arguments = with_default(arguments)
-    command: Any = typer.main.get_command(build(arguments))
+    command = command_of(arguments)
     try:
         with command.make_context("calib", arguments) as context:
             result = command.invoke(context)
     except typer.Exit as ended:
         return ended.exit_code
     return result if isinstance(result, int) else EXIT_FINE
+
+
+def command_of(arguments: Sequence[str]) -> Any:
+    """Return the parser of a command line, with what is to be called."""
+    return typer.main.get_command(build(arguments))
 
 
 if __name__ == "__main__":

@@ -50,6 +50,10 @@ def without_logs(made: Campaign) -> Campaign:
     return replace(made, logs=Logs.empty(len(made.runs)))
 
 
+def _labelled(made: Campaign, **labels: np.ndarray) -> Campaign:
+    return replace(made, runs=replace(made.runs, labels={**made.runs.labels, **labels}))
+
+
 def steered_by_itself(made: Campaign) -> Campaign:
     """Both wheels alike to within a count at all loads."""
     return with_numbers(
@@ -130,8 +134,7 @@ def turning(sign: float) -> Fault:
 
 def _clockwise_by_name(made: Campaign) -> Campaign:
     turned = with_numbers(turning(1.0)(made), ref_theta_rad=np.full(len(made.runs), np.nan))
-    kinds = {**turned.runs.labels, "kind": np.full(len(made.runs), "square_cw")}
-    return replace(turned, runs=replace(turned.runs, labels=kinds))
+    return _labelled(turned, kind=np.full(len(made.runs), "square_cw"))
 
 
 def _steered(made: Campaign) -> Campaign:
@@ -149,16 +152,14 @@ def _sessions_of_one_load(_: Campaign) -> Campaign:
 
 def _one_session_rising(_: Campaign) -> Campaign:
     made = campaign(crossed=False)
-    labels = {**made.runs.labels, "session": np.full(len(made.runs), "s1")}
-    return replace(made, runs=replace(made.runs, labels=labels))
+    return _labelled(made, session=np.full(len(made.runs), "s1"))
 
 
 def _sessions_rising(_: Campaign) -> Campaign:
     """Three sessions, each with all loads in rising order."""
     made = without_logs(campaign(crossed=False))
     third = np.arange(len(made.runs)) % 3
-    labels = {**made.runs.labels, "session": np.char.add("s", third.astype(str))}
-    made = replace(made, runs=replace(made.runs, labels=labels))
+    made = _labelled(made, session=np.char.add("s", third.astype(str)))
     order = np.argsort(third, kind="stable")
     runs = replace(
         made.runs,
@@ -266,8 +267,7 @@ def _turned_poses(made: Campaign) -> Campaign:
 def _shifted_sessions(_: Campaign) -> Campaign:
     """One load a session, and the labels a row off."""
     made = campaign(crossed=False)
-    labels = {**made.runs.labels, "session": np.roll(made.runs.label("session"), -1)}
-    return replace(made, runs=replace(made.runs, labels=labels))
+    return _labelled(made, session=np.roll(made.runs.label("session"), -1))
 
 
 def _frozen_reference(made: Campaign) -> Campaign:
@@ -312,13 +312,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("distance_against_log", "distance_disagrees", "suspicious", lambda m: _ranged(m, cut=0.99), "r000"),
     ("distance_against_log", "distance_span", "suspicious", lambda m: _ranged(m, cut=1000), "r000"),
     ("distance_against_log", "implausible", "wrong", _from_a_wall, ""),
-    (
-        "missing_values",
-        "missing_distance",
-        "wrong",
-        lambda m: with_numbers(m, distance_m=np.full(len(m.runs), np.nan)),
-        "",
-    ),
+    ("missing_values", "missing_distance", "wrong", number("distance_m", lambda d: np.nan * d), ""),
     ("distance_against_pose", "distance_against_pose", "suspicious", _longer, ""),
     ("track_against_bows", "track_against_bows", "suspicious", lambda m: wandering(m, track_m=0.64), ""),
     ("mirrored_ends", "mirrored_ends", "suspicious", lambda m: _mirrored(wandering(m, turned=0.01)), ""),

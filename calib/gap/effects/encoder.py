@@ -169,7 +169,7 @@ _STRAIGHT_ANGLE_RAD: Final = 0.2
 
 
 class EncoderBlunder(Effect):
-    """Factors of 2, 4, 10, pi on one wheel or both, swapped wheels, a sign: `find_blunder` tries each in full."""
+    """Factors of 2, 4, 10, pi on one wheel or both, swapped wheels, a sign."""
 
     id = "encoder_gross"
     title = "a blunder of the encoders"

@@ -160,19 +160,6 @@ def test_another_curvature_separates_track_and_scrub() -> None:
     assert next_runs(campaign, library(s), noise, tie, apart_on=apart, candidates=straight) == []
 
 
-@pytest.mark.parametrize("with_corridors", [True, False])
-def test_new_routes_are_driven_beside_a_corridor_as_before(*, with_corridors: bool) -> None:
-    """A step of the new session moves a known run too, and a cause of the new route does not."""
-    runs = [PlannedRun(kind, session="s1") for kind in ("square_cw", "square_ccw") for _ in range(4)]
-    runs += [PlannedRun("corridor", "out", session="s1")] * (3 * with_corridors)
-    driven = called(drive(base(2, "squares_one_load"), runs, Measured()))
-    s, noise = noise_of(driven)
-    tie, apart = [("track_width", "curve_scrub")], named(driven, {}, {"track_width": 0.01})
-    proposed = {run.kind: run.count for run in next_runs(driven, library(s), noise, tie, apart_on=apart)}
-    assert proposed.pop("corridor", 0) == with_corridors
-    assert set(proposed) and set(proposed).isdisjoint({"square_cw", "square_ccw"})
-
-
 def test_a_closed_square_does_not_tell_the_track_from_the_scale_of_the_radii() -> None:
     """It closes by any size of both that turns it as far; a length does tell them, and comes first."""
     loops = [PlannedRun(kind, loop="closed", session="s1") for kind in ("square_cw", "square_ccw") for _ in range(4)]

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from calib.campaign.model import Campaign
-from calib.gap.plan.next_runs import dimensions_of
+from calib.gap.effects.library import library
+from calib.gap.plan.next_runs import dimensions_of, next_runs
 from calib.gap.plan.planned_runs import KINDS, Dimensions, Measured, PlannedRun, default_candidates, drive, route_of
-from tests.gap.plan.test_next_runs import base, called
+from tests.gap.plan.test_next_runs import base, called, named, noise_of
 
 
 def small(driven: Campaign, size: float) -> Campaign:
@@ -48,3 +49,16 @@ def test_a_car_is_asked_for_no_tighter_turn_than_it_steers() -> None:
         route = route_of(kind, car)
         bends = route.turn_rad != 0.0
         assert (np.abs(route.length_m[bends] / route.turn_rad[bends]) >= 1.5 * 2.7 - 1e-9).all()
+
+
+@pytest.mark.parametrize("with_corridors", [True, False])
+def test_new_routes_are_driven_beside_a_corridor_as_before(*, with_corridors: bool) -> None:
+    """A step of the new session moves a known run too, and a cause of the new route does not."""
+    runs = [PlannedRun(kind, session="s1") for kind in ("square_cw", "square_ccw") for _ in range(4)]
+    runs += [PlannedRun("corridor", "out", session="s1")] * (3 * with_corridors)
+    driven = called(drive(base(2, "squares_one_load"), runs, Measured()))
+    s, noise = noise_of(driven)
+    tie, apart = [("track_width", "curve_scrub")], named(driven, {}, {"track_width": 0.01})
+    proposed = {run.kind: run.count for run in next_runs(driven, library(s), noise, tie, apart_on=apart)}
+    assert proposed.pop("corridor", 0) == with_corridors
+    assert set(proposed) and set(proposed).isdisjoint({"square_cw", "square_ccw"})
