@@ -1,5 +1,6 @@
 """`calib diagnose`, `effects`, `plan`: where the sim-to-real gap lies, what causes it, which runs show it."""
 
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
@@ -49,6 +50,9 @@ def run(
 
     result = None if into is None else into / RESULT_FILE
     terminal.refuse_outputs(apply, html, result, figures=figures, names=GAP_FIGURES)
+    if html is not None:
+        # a missing extra is said before the work
+        import_module("calib.reporting.interactive")
     if simulator is not None and (model or journeys):
         name = "--model" if model else "--journeys"
         raise BadInputError(f"{name}: found it beside --simulator, which is judged instead; give one of them")

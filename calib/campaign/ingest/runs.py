@@ -29,7 +29,7 @@ def without_unit(name: str) -> str:
 
 
 def whole_name(column: str, names: Collection[str]) -> str:
-    """Return a file's name for a mapping's without unit; `column` where none is like it."""
+    """Return the name in the file that a mapping gives without its unit; `column` where none is like it."""
     alike = [name for name in names if without_unit(name) == column.strip()]
     return alike[0] if len(alike) == 1 and column not in names else column
 

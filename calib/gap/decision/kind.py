@@ -149,8 +149,9 @@ def kept_back(found: Diagnosis, nominal: Path, noise: Noise) -> Diagnosis:
     return replace(found, fix=replace(found.fix, recommended=False, why=(why, *found.fix.why)))
 
 
-#: blunders that 'calib geometry' names and no effect says
+#: columns of a reference along the path
 OF_A_PATH: Final = frozenset(("ref_x_m", "ref_theta_rad"))
+#: blunders that 'calib geometry' names and no effect says
 OF_REFERENCE: Final = ("axis_scale", "heading_scale")
 
 
@@ -165,11 +166,12 @@ def beside_geometry(found: Diagnosis, campaign: Campaign) -> Diagnosis:
 
     with suppress(CalibError):
         geometry = estimate_geometry(campaign)
-        faults = [fault.text for fault in geometry.faults if fault.code in OF_REFERENCE]
-        why = tuple(f"{text}: correct this first" for text in faults)
-        found = replace(found, fix=replace(found.fix, recommended=not why, why=(*why, *found.fix.why)))
         if geometry.passed:
             return replace(found, notes=(*found.notes, *_unlike(found, geometry)))
+        if why := [fault.text for fault in geometry.faults if fault.code in OF_REFERENCE]:
+            fix, first = replace(found.fix, recommended=False, why=(*why, *found.fix.why)), [f"{text}." for text in why]
+            said = f"Correct this first: {' '.join(first)} Until then: {found.sentence}"
+            return replace(found, fix=fix, correct_first=(*first, *found.correct_first), sentence=said)
     return found
 
 
