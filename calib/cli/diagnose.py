@@ -50,8 +50,7 @@ def run(
 
     result = None if into is None else into / RESULT_FILE
     terminal.refuse_outputs(apply, html, result, figures=figures, names=GAP_FIGURES)
-    if html is not None:
-        # a missing extra is said before the work
+    if html is not None:  # a missing extra is said before the work
         import_module("calib.reporting.interactive")
     if simulator is not None and (model or journeys):
         name = "--model" if model else "--journeys"
