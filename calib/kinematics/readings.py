@@ -161,9 +161,9 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
     z = np.append(recording.reference[2], np.where(_followed(recording), 0.0, recording.end_pose[:, 2]))
     if not (np.abs(z[np.isfinite(z)]) <= LARGEST_Z).all():
         return
-    told, last = since_start(nominal_motion(drive, recording.steps)[2], recording.offsets), recording.offsets[1:] - 1
 
     def headings(recording: Recording) -> Recording:
+        told = since_start(nominal_motion(drive, recording.steps)[2], recording.offsets)
         # in a map a run starts at a heading of its own, of which z leaves two
         reference, first = recording.reference.copy(), recording.reference[2, recording.offsets[:-1]]
         starts = np.nan_to_num([2.0 * np.arcsin(first), 2.0 * (np.pi - np.arcsin(first))])
@@ -171,7 +171,7 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
         off = [np.add.reduceat(np.nan_to_num(off), recording.offsets[:-1]) for _, off in of_start]
         nearer = np.repeat(np.argmin(off, axis=0), np.diff(recording.offsets))
         reference[2] = np.where(nearer, of_start[1][0], of_start[0][0])
-        other, ends = recording.with_reference(reference), _of_quaternion(recording.end_pose[:, 2], told[last])[0]
+        other, ends = recording.with_reference(reference), _of_quaternion(recording.end_pose[:, 2], told[recording.offsets[1:] - 1])[0]
         ends = np.where(_followed(other), other.end_pose[:, 2], ends)
         return replace(other, end_pose=np.column_stack([other.end_pose[:, :2], ends]))
 
@@ -264,17 +264,16 @@ def _wrapped(what: str, period_rad: float) -> Reading:
 def _increments(recording: Recording) -> Iterator[Reading]:
     for side, which in _sides(len(recording.steps.turned_rad)):
 
-        def summed(turned: FloatArray, which: BoolArray = which) -> FloatArray:
-            return np.where(which, since_start(turned, recording.offsets), turned)
+        def summed(recording: Recording, which: BoolArray = which) -> Recording:
+            turned = recording.steps.turned_rad
+            return recording.with_turned(np.where(which, since_start(turned, recording.offsets), turned))
 
         text = f"counts of {side}: found increments since the sample before where totals are expected; add them up"
-        yield Reading(Fault("count_increments", text), _rolled(summed))
+        yield Reading(Fault("count_increments", text), summed)
 
 
 def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
-    size = np.abs(recording.steps.turned_rad)
-    beside = np.maximum(np.roll(size, 1, axis=1), np.roll(size, -1, axis=1))
-    jumps = size > np.maximum(JUMP_FACTOR * beside, 2.0 * np.pi)
+    size, beside, jumps = _jumped(recording.steps.turned_rad)
     n_jumps = int(jumps.any(axis=0).sum())
     modulus_rad = (size + beside)[jumps]
     if n_jumps > MOST_JUMPS and np.ptp(modulus_rad) < ALIKE * modulus_rad[0]:
@@ -284,7 +283,13 @@ def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
         return
     text = f"counts: found {n_jumps} jumps of more than a revolution in one sample (a counter that starts again); "
     blunder = Fault("count_jump", text + "join the parts of each run, or leave these runs out")
-    yield Reading(blunder, _rolled(lambda turned: np.where(jumps, 0.0, turned)))
+    yield Reading(blunder, _rolled(lambda turned: np.where(_jumped(turned)[2], 0.0, turned)))
+
+
+def _jumped(turned: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    size = np.abs(turned)
+    beside = np.maximum(np.roll(size, 1, axis=1), np.roll(size, -1, axis=1))
+    return size, beside, size > np.maximum(JUMP_FACTOR * beside, 2.0 * np.pi)
 
 
 def _steering(steer: FloatArray) -> Iterator[Reading]:
