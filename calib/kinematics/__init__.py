@@ -71,6 +71,12 @@ class Recording:
         return self.session if len(np.unique(self.session)) > 1 else self.run_id
 
     @property
+    def routes(self) -> StrArray:
+        """Kind of each run, and the sense of its turn, shape (n_runs,)."""
+        turn = self.end_pose[:, 2]
+        return np.char.add(self.kind, np.select([turn > 1.0, turn < -1.0], [" ccw", " cw"], ""))
+
+    @property
     def group(self) -> IntArray:
         """Number of each run's recording, shape (n_runs,)."""
         return np.asarray(np.unique(self.labels, return_inverse=True)[1])

@@ -16,7 +16,7 @@ from calib.kinematics.joint_fit import LOADS_VARY, Fitted, noise_by_windows, par
 from calib.kinematics.model import Model, Segments, replicates
 from calib.kinematics.readings import implausible_lengths
 from calib.kinematics.solve import solve
-from calib.kinematics.uncertainty import ENOUGH_RUNS, FEWEST, flattened, left_within, whitened
+from calib.kinematics.uncertainty import ENOUGH_RUNS, FEWEST_CLUSTERS, flattened, left_within, whitened
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, few_digits
 
 #: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
@@ -351,7 +351,9 @@ LENGTHS_ALONE: Final = (
 def _copied(fitted: Fitted, whole: Model, position: Residuals) -> bool:
     share_m = COPIED_SHARE * position.travelled
     # a taped length or two agree by chance
-    if whole.segments.seen[:, 0].sum() < FEWEST or not 0.0 < position.before < max(share_m, COPIED_COUNTS * FINE_M):
+    if whole.segments.seen[:, 0].sum() < FEWEST_CLUSTERS or not 0.0 < position.before < max(
+        share_m, COPIED_COUNTS * FINE_M
+    ):
         return False
     rolled_rad = np.abs(whole.recording.steps.turned_rad)
     radius_m = max(row.nominal for row in fitted.parameters.items if "radius" in row.name)

@@ -25,7 +25,7 @@ from calib.kinematics.model import Model, Prediction, Segments, end_pose_segment
 from calib.kinematics.readings import factor_faults
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, RunTrace, Umbmark, noise_sizes
 from calib.kinematics.solve import COMPONENTS, Solution
-from calib.kinematics.uncertainty import ENOUGH_RUNS
+from calib.kinematics.uncertainty import ENOUGH_RUNS, FEWEST_CLUSTERS
 from calib.types import BoolArray, FloatArray, IntArray, in_frame
 
 
@@ -152,6 +152,9 @@ def _notes(fitted: Fitted, whole: Model, kind: str) -> Iterator[str]:
             f"Runs of one {name} pull the parameters alike: the intervals take the {n} {name}s, not single runs, for "
             "independent. What they share is no noise; 'calib diagnose' looks for its cause."
         )
+    elif (n := len(np.unique(recording.routes))) < FEWEST_CLUSTERS:
+        of = "one route" if n == 1 else f"{n} routes"
+        yield f"The intervals are of {of}: what routes differ by is not in them; drive {FEWEST_CLUSTERS} or more."
     lengths = {"radius_left_m", "radius_right_m", "track_m"}
     if MEAN_RADIUS in fitted.undetermined and not lengths & set(fitted.undetermined):
         positions = fitted.model.segments.seen[:, :2].any()
@@ -251,7 +254,7 @@ SIDE_RAD: Final = 0.35
 SIDES_SHARE: Final = 0.8
 SHORTEST_SIDE: Final = 0.7
 #: of each sense, for a scatter
-FEWEST: Final = 2
+FEWEST_SQUARES: Final = 2
 
 
 def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, BoolArray, FloatArray]:
@@ -300,7 +303,7 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
     centres = np.stack([part.mean(axis=0) for part in both])
     ratios = _ratios(centres, side_m, track_m)
     std = np.full(2, np.nan)
-    if min(n_ccw, n_cw) >= FEWEST:
+    if min(n_ccw, n_cw) >= FEWEST_SQUARES:
         # both ratios are nearly linear in the four means
         step = 1e-6 * np.eye(4).reshape(4, 2, 2)
         slopes = np.array([np.subtract(_ratios(centres + d, side_m, track_m), ratios) for d in step]) / 1e-6

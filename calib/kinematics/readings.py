@@ -171,7 +171,10 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
         off = [np.add.reduceat(np.nan_to_num(off), recording.offsets[:-1]) for _, off in of_start]
         nearer = np.repeat(np.argmin(off, axis=0), np.diff(recording.offsets))
         reference[2] = np.where(nearer, of_start[1][0], of_start[0][0])
-        other, ends = recording.with_reference(reference), _of_quaternion(recording.end_pose[:, 2], told[recording.offsets[1:] - 1])[0]
+        other, ends = (
+            recording.with_reference(reference),
+            _of_quaternion(recording.end_pose[:, 2], told[recording.offsets[1:] - 1])[0],
+        )
         ends = np.where(_followed(other), other.end_pose[:, 2], ends)
         return replace(other, end_pose=np.column_stack([other.end_pose[:, :2], ends]))
 

@@ -348,7 +348,7 @@ def _least_squares(columns: FloatArray, values: FloatArray) -> tuple[FloatArray,
 
 
 #: groups for a covariance
-FEWEST: Final = 4
+FEWEST_CLUSTERS: Final = 4
 #: so many runs are the groups; of fewer, blocks within them
 ENOUGH_RUNS: Final = 8
 #: standard deviations of the correlation of scores within a group from which it counts as one
@@ -369,12 +369,11 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
         best = sandwich(solution, free, segments.run, "run", OF_RUNS, own)
     else:
         best = sandwich_along(solution, free, block, own)
-    alone, turn = best.by, recording.end_pose[:, 2]
-    routes = np.char.add(recording.kind, np.select([turn > 1.0, turn < -1.0], [" ccw", " cw"], ""))
-    for name, labels in (("session", recording.session), ("route", routes)):
+    alone = best.by
+    for name, labels in (("session", recording.session), ("route", recording.routes)):
         group = np.unique(labels, return_inverse=True)[1][run]
         apart = name == "session" and left_within(solution, free, segments, recording.session)[0] < np.inf
-        if len(np.unique(group)) >= FEWEST and (apart or _alike(scores, group) > ALIKE):
+        if len(np.unique(group)) >= FEWEST_CLUSTERS and (apart or _alike(scores, group) > ALIKE):
             tried = sandwich(solution, free, group[block], name, directions=own)
             if best.by == alone or _width(tried) > _width(best):
                 best = tried

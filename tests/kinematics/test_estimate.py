@@ -182,6 +182,14 @@ def test_a_route_that_pulls_alike_widens_the_intervals() -> None:
     assert shared["track_m"].std > 3 * plain["track_m"].std
 
 
+@pytest.mark.parametrize(("sizes", "said"), [((-4, 4), True), ((-4, -2, 2, 4), False)])
+def test_intervals_of_few_routes_do_not_hold_for_others(sizes: tuple[int, ...], said: bool) -> None:
+    """What the runs of a route share can be told from the parameters from four routes on."""
+    routes = [(f"arc{size}", [(3.0, size * 0.7)]) for size in sizes for _ in range(6)]
+    found = estimate_geometry(campaign(routes, TRUTH, np.random.default_rng(11), sigma=(1e-3, 1e-3)))
+    assert any(note.startswith("The intervals are of 2 routes: ") for note in found.notes) is said
+
+
 def test_nothing_to_go_by_is_refused_in_one_line() -> None:
     made = campaign(both_ways(2), TRUTH, np.random.default_rng(12))
     numbers = {name: column for name, column in made.runs.numbers.items() if not name.startswith("ref_")}

@@ -93,7 +93,9 @@ def decide(evidence: Evidence) -> Diagnosis:
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, found, fix)
         causes = [cause for cause in causes if is_named_beside(cause, fix, found)]
-    causes = ranked(causes)
+    causes, closure = ranked(causes), fix.closure or closure
+    if kind not in NOTHING_NAMED and (closure.leaves_part or (fix.recommended and any(map(fails, fix.transfer)))):
+        kind = VerdictKind.PARTLY_EXPLAINED
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
         sentence="",
@@ -101,7 +103,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         credible_sets=confounding.credible_sets(evidence, () if kind in NOTHING_NAMED else confounded),
         groups=tuple(map(tuple, tied_with(causes, tied))),
         where=evidence.where,
-        closure=fix.closure or closure,
+        closure=closure,
         unexplained=None if kind in NO_GAP_SHOWN and not situation.faults else unexplained,
         fix=_of_sound_data(replace(fix, moves=moved(evidence, fix, causes)), situation, causes) if causes else fix,
         notes=(*evidence.observations.notes, *situation.notes, *_on_causes(evidence, causes, small)),

@@ -85,7 +85,7 @@ def reasons(
     single = dict.fromkeys(text for cause in found.causes for text in doubts(cause, found))
     left = any(map(fails, trials)) or (closure is not None and closure.leaves_part)
     helpful = [
-        *unhelpful(improvement),
+        *unhelpful(improvement, closure),
         *remaining(improvement, found.unexplained, left=left),
         *oversized(found.causes, improvement),
     ]
@@ -174,8 +174,8 @@ def unsized(evidence: Evidence, found: Finding) -> Iterator[str]:
         )
 
 
-def unhelpful(improvement: Improvement | None) -> Iterator[str]:
-    """Yield where a correction is not shown to help on held-out runs."""
+def unhelpful(improvement: Improvement | None, closure: Closure | None) -> Iterator[str]:
+    """Yield where a correction is not shown to help on held-out runs, nor on conditions other than these."""
     if improvement is None:
         yield "no run could be held out; drive each route twice at least"
         return
@@ -185,6 +185,9 @@ def unhelpful(improvement: Improvement | None) -> Iterator[str]:
             f"on held-out runs the error goes from {_errors(improvement)}, an improvement of {low:+.2g} to "
             f"{high:+.2g}: not shown to help; repeat the routes with the largest gap"
         )
+    elif closure is not None and closure.ci95 is not None and closure.ci95[0] < 0.0:
+        low, high = (100 * share for share in closure.ci95)
+        yield f"drawn anew from these conditions it closes {low:.0f} to {high:.0f} %: too few show it; {PLAN}"
 
 
 def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Iterator[str]:

@@ -60,15 +60,12 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     others = rule.elsewhere(names, rule.alternatives(evidence, sure))
     apart = rule.disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, sure.tied)
     beyond = [*apart, *others, *rule.unsized(evidence, sure), *_odd(evidence, kept, beside)]
-    # the calibration that a dropped cause looks like is moved only where nothing else helps
-    for acting in (names, {*names, *evidence.search.effects}):
-        left_out, improvement, tried, worse = _tried(evidence, names, beside, acting)
-        left = () if dropped else rule.remaining(improvement, unexplained)
-        odds = rule.needed(improvement) if by_odds else ()
-        helpful = [*rule.unhelpful(improvement), *rule.oversized(kept, improvement)]
-        why = [*helpful, *worse, *left, *odds, *rule.harm(tried), *beyond]
-        if not why:
-            break
+    # what helps only with the calibration that a dropped cause looks like is not the fix of these
+    left_out, improvement, tried, worse = _tried(evidence, names, beside)
+    left = () if dropped else rule.remaining(improvement, unexplained)
+    odds = rule.needed(improvement) if by_odds else ()
+    helpful = [*rule.unhelpful(improvement, evidence.held_out.closure), *rule.oversized(kept, improvement)]
+    why = [*helpful, *worse, *left, *odds, *rule.harm(tried), *beyond]
     if why and steps:
         return replace(whole, why=(*whole.why, *(f"beside {', '.join(sorted(steps))}: {text}" for text in why)))
     if why:
@@ -114,21 +111,20 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     names = {cause.effect for cause in found.causes}
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
         return fix
-    left_out, improvement, tried, _ = _tried(evidence, names, (), names)
+    left_out, improvement, tried, _ = _tried(evidence, names, ())
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
     # what would move by nothing beyond noise takes no part of the gap
     acts = bool(unnamed) or not _others_at_zero(evidence, names)
     rest = f"the rest is what {beside} would take"
     left = (*rule.remaining(improvement, found.unexplained, rest), *_resized(evidence, left_out.fitted)) if acts else ()
-    why = (*rule.unhelpful(improvement), *left, *rule.harm(tried))
+    closing = evidence.held_out.closing
+    closure = closing and closing(*left_with_others(left_out, sessions=_by_session(evidence, names)))
+    why = (*rule.unhelpful(improvement, closure), *left, *rule.harm(tried))
     if why:
         lead = f"without {unnamed}, which is not named" if unnamed else "with no other change of radii and track"
         return replace(fix, recommended=False, why=tuple(f"{lead}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in found.causes)
-    closure = evidence.held_out.closing and evidence.held_out.closing(
-        *left_with_others(left_out, sessions=_by_session(evidence, names))
-    )
     return replace(
         fix, corrects=corrects, fitted=left_out.fitted, held_out=improvement, transfer=tried, closure=closure
     )
@@ -177,10 +173,10 @@ def _moved_by(evidence: Evidence, names: Collection[str]) -> set[str]:
 
 
 def _tried(
-    evidence: Evidence, names: Collection[str], stepping: Collection[str], acting: Collection[str]
+    evidence: Evidence, names: Collection[str], stepping: Collection[str]
 ) -> tuple[HeldOutFit, Improvement, tuple[Trial, ...], tuple[str, ...]]:
     forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
-    along = _along(evidence, acting)
+    along = _along(evidence, names)
     fitted = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)
     left_out = HeldOutFit(fitted, evidence.nominal, evidence.noise, evidence.search.weighting, along)
     before, as_counted = residuals(evidence.nominal, evidence.nominal), evidence.situation.as_counted

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -13,10 +14,10 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.apply import applied_model
-from calib.gap.decision import part
+from calib.gap.decision import decide, part
 from calib.gap.decision.causes import Finding, negligible
 from calib.gap.decision.constancy import SizeDifference
-from calib.gap.decision.diagnosis import Cause, Diagnosis, Fix, Quantity, Unexplained
+from calib.gap.decision.diagnosis import Cause, Diagnosis, Fix, Quantity, Unexplained, VerdictKind
 from calib.gap.decision.fix import needed
 from calib.gap.decision.held_out import Improvement
 from calib.gap.decision.part import _parted, is_named_beside, sure_part
@@ -113,6 +114,19 @@ def test_what_odds_alone_leave_out_was_needed_where_the_rest_of_the_gap_certainl
     (why,) = needed(Improvement(1.08, 1.05, (0.004, 0.067), (0.05, 0.81)))
     assert "close 5 to 81 % of the gap" in why
     assert list(needed(Improvement(1.07, 1.01, (0.009, 0.116), (0.12, 1.53)))) == []
+
+
+def test_the_verdict_is_of_what_the_delivered_fix_leaves(project_root: Path) -> None:
+    """A fit with more parameters may leave less than the fix that is written."""
+    diagnosis = diagnose_in_full(read_campaign(project_root / "sample_runs" / "yard"), plan=False)
+    assert diagnosis.kind is VerdictKind.EXPLAINED and diagnosis.evidence is not None
+    line = diagnosis.closure.channels[0]
+    closures = (replace(diagnosis.closure, channels=(replace(line, after_rms=k * line.floor_rms),)) for k in (1.9, 2.6))
+    kinds = []
+    for closure in closures:
+        with patch.object(decide, "as_delivered", lambda _, __, fix, own=closure: replace(fix, closure=own)):
+            kinds.append(decide.decide(diagnosis.evidence).kind)
+    assert kinds == [VerdictKind.EXPLAINED, VerdictKind.PARTLY_EXPLAINED]
 
 
 def test_swapped_counters_alone_are_corrected(project_root: Path) -> None:
