@@ -19,8 +19,6 @@ from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import Model, Segments
 from calib.kinematics.readings import (
-    LEAST_ANGLE_RAD,
-    LEAST_OF_RUNS_RAD,
     Change,
     Reading,
     Setting,
@@ -40,6 +38,10 @@ SMALL_SHARE: Final = 0.03
 #: and mounting angles stay within it
 SAME_LENGTH: Final = 1.3
 SAME_WAY_RAD: Final = 0.3
+#: axes turned by less are a sensor's mounting, which is estimated
+LEAST_ANGLE_RAD: Final = 0.02
+#: by whole runs it is not, and a smaller turn moves their ends by less than the usual drift
+LEAST_OF_RUNS_RAD: Final = 0.003
 #: linearisations of a trial: a right reading is near its end after four, a wrong one never
 TRIAL_ROUNDS: Final = 6
 #: of these, those that estimate the noise: it only weighs position against heading, and costs most of a trial

@@ -15,10 +15,6 @@ from calib.kinematics.joint_fit import Fitted
 from calib.types import BoolArray, FloatArray, since_start
 from calib.vehicle import SKID_TRACK
 
-#: axes turned by less are a sensor's mounting, which is estimated
-LEAST_ANGLE_RAD: Final = 0.02
-#: by whole runs it is not, and a smaller turn moves their ends by less than the usual drift
-LEAST_OF_RUNS_RAD: Final = 0.003
 #: a sine, with noise of the reference
 LARGEST_Z: Final = 1.05
 #: widths of counters in use, bits
@@ -171,11 +167,8 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
         off = [np.add.reduceat(np.nan_to_num(off), recording.offsets[:-1]) for _, off in of_start]
         nearer = np.repeat(np.argmin(off, axis=0), np.diff(recording.offsets))
         reference[2] = np.where(nearer, of_start[1][0], of_start[0][0])
-        other, ends = (
-            recording.with_reference(reference),
-            _of_quaternion(recording.end_pose[:, 2], told[recording.offsets[1:] - 1])[0],
-        )
-        ends = np.where(_followed(other), other.end_pose[:, 2], ends)
+        ends, other = told[recording.offsets[1:] - 1], recording.with_reference(reference)
+        ends = np.where(_followed(other), other.end_pose[:, 2], _of_quaternion(recording.end_pose[:, 2], ends)[0])
         return replace(other, end_pose=np.column_stack([other.end_pose[:, :2], ends]))
 
     text = "ref_theta_rad: found the z of a quaternion where a heading in rad is expected; take 2 atan2(z, w)"
@@ -276,9 +269,13 @@ def _increments(recording: Recording) -> Iterator[Reading]:
 
 
 def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
-    size, beside, jumps = _jumped(recording.steps.turned_rad)
-    n_jumps = int(jumps.any(axis=0).sum())
-    modulus_rad = (size + beside)[jumps]
+    def jumped(turned: FloatArray) -> tuple[BoolArray, FloatArray]:
+        size = np.abs(turned)
+        beside = np.maximum(np.roll(size, 1, axis=1), np.roll(size, -1, axis=1))
+        return size > np.maximum(JUMP_FACTOR * beside, 2.0 * np.pi), size + beside
+
+    jumps, there_and_back_rad = jumped(recording.steps.turned_rad)
+    n_jumps, modulus_rad = int(jumps.any(axis=0).sum()), there_and_back_rad[jumps]
     if n_jumps > MOST_JUMPS and np.ptp(modulus_rad) < ALIKE * modulus_rad[0]:
         counts = round(float(np.median(modulus_rad)) * per_rev / (2.0 * np.pi))
         yield _wrapped(f"{counts}, by which they jump {n_jumps} times;", 2.0 * np.pi * counts / per_rev)
@@ -286,13 +283,7 @@ def _jumps(recording: Recording, per_rev: float) -> Iterator[Reading]:
         return
     text = f"counts: found {n_jumps} jumps of more than a revolution in one sample (a counter that starts again); "
     blunder = Fault("count_jump", text + "join the parts of each run, or leave these runs out")
-    yield Reading(blunder, _rolled(lambda turned: np.where(_jumped(turned)[2], 0.0, turned)))
-
-
-def _jumped(turned: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
-    size = np.abs(turned)
-    beside = np.maximum(np.roll(size, 1, axis=1), np.roll(size, -1, axis=1))
-    return size, beside, size > np.maximum(JUMP_FACTOR * beside, 2.0 * np.pi)
+    yield Reading(blunder, _rolled(lambda turned: np.where(jumped(turned)[0], 0.0, turned)))
 
 
 def _steering(steer: FloatArray) -> Iterator[Reading]:
