@@ -17,7 +17,7 @@ from calib.radius.path_length import PathExcess, arc_excess, correct_paths, smal
 from calib.types import BoolArray, FloatArray, Row, StrArray, floats, rows_of
 from calib.vehicle import Vehicle
 
-#: halvings, to rounding
+#: halvings of an interval, down to rounding
 BISECTIONS: Final = 60
 PAPER_DISTANCE_M: Final = 40.0
 
@@ -77,7 +77,7 @@ def allowed_amplitude_on_run_m(
         return np.maximum(np.abs(radius_error(excess.left)), np.abs(radius_error(excess.right)))
 
     over_periods, *_ = np.broadcast_arrays(allowed_amplitude_m(tolerance, wavelength_m), distance_m, phase_rad)
-    # part of a period may be flatter: a wide bracket
+    # part of a period may allow more: a wide bracket
     return _largest(worse, tolerance, 8 * over_periods)
 
 
@@ -93,12 +93,12 @@ def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatA
     return _largest(lambda amplitude_m: whole_period_excess(amplitude_m, wavelength), target, bracket)
 
 
-def _largest(error: Callable[[FloatArray], FloatArray], most: ArrayLike, bracket: FloatArray) -> FloatArray:
+def _largest(error: Callable[[FloatArray], FloatArray], tolerance: ArrayLike, bracket: FloatArray) -> FloatArray:
     low, high = np.zeros_like(bracket), bracket
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        fits = error(middle) <= np.asarray(most)
-        low, high = np.where(fits, middle, low), np.where(fits, high, middle)
+        within = error(middle) <= np.asarray(tolerance)
+        low, high = np.where(within, middle, low), np.where(within, high, middle)
     return np.asarray(low)
 
 
@@ -235,11 +235,11 @@ class RunDeviations:
 
 
 def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
-    """Judge the path of every straight run against a tolerance.
+    """Judge the path of every straight run against a tolerance, the largest relative error of a radius.
 
-    Runs without log, amplitude and wavelength are ``unknown``, and those of which the 95 % interval alone reaches
-    beyond the tolerance, the largest relative error of a radius. Raises RefusedError where there is no straight run;
-    BadInputError where the tolerance is not between 0 and 1.
+    ``unknown`` are runs without log, amplitude and wavelength, and those whose error is within the tolerance but its
+    95 % interval is not. Raises RefusedError where there is no straight run; BadInputError where the tolerance is not
+    between 0 and 1.
     """
     if not 0 < tolerance < 1:
         expected = "a share between 0 and 1; 0.0005 is 0.05 % of the radius"
@@ -252,11 +252,11 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     known = (path.source != "none") & ~(blind & (steered_itself_m(campaign) >= 0.0))
     left, right = radius_error(path.left), radius_error(path.right)
     error, columns = np.maximum(np.abs(left), np.abs(right)), path.source == "columns"
-    # the turn of an unknown phase is at most the root of two times its standard deviation
-    off = np.hypot(0.5 * vehicle.track_m * path.yaw_std_rad / distance, path.centre_std)
-    within = error + np.where(columns, np.sqrt(2.0), NORMAL_95) * off <= tolerance
+    # the turn of a weave of unknown phase is at most sqrt(2) of its standard deviations
+    std = np.hypot(0.5 * vehicle.track_m * path.yaw_std_rad / distance, path.centre_std)
+    within = error + np.where(columns, np.sqrt(2.0), NORMAL_95) * std <= tolerance
     weaving = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)
-    # of an unknown phase, that of the largest turn
+    # an unknown phase is taken as that of the largest turn
     phases = np.where(columns, np.pi * (0.5 - distance / path.wavelength_m), path.phase_rad)
     phased = weaving & np.isfinite(phases)
     allowed = np.full(len(runs), np.nan)
@@ -266,7 +266,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         allowed[phased] = allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
     small = np.full(len(runs), np.nan)
     small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
-    # r_R / r_L by each run; the distance cancels
+    # r_R / r_L of each run; the distance cancels
     ratio = (np.abs(runs.number("counts_left")) / campaign.encoder.counts_per_rev_left * (1 + path.right)) / (
         np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right * (1 + path.left)
     )

@@ -1,4 +1,4 @@
-"""What the law leaves beyond the instruments, and other readings of the table by which it would leave far less."""
+"""Scatter about the law beyond the instruments', and errors of the run table that would explain it."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,20 +15,20 @@ from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit
 from calib.radius.result import PLAUSIBLE
 from calib.types import FloatArray, IntArray, StrArray
 
-#: less sessions and both lines, for the scatter about a further slope
+#: fewest degrees of freedom of the scatter about a further slope
 MIN_SLOPE_DOF: Final = 5
-#: of a radius: the tolerance of 'calib deviation'
+#: relative error of a radius by a path that 'calib deviation' tolerates
 PATH_TOLERANCE: Final = 5e-4
-#: of what runs differ by; a law that leaves more takes away less than three quarters of its square
-WORTH_SHARE: Final = 0.5
+#: a law that leaves more than this share of the held-out runs' scatter explains less than 3/4 of its variance
+MAX_SHARE_LEFT: Final = 0.5
 EXCHANGED: Final = "the loads, or else the counts, of left and right exchanged in all runs"
-#: of reading and fitting in turn, which settle in a few
+#: rounds of choosing each run's reading and fitting the laws; a few converge
 ROUNDS: Final = 20
 
 
 def scatter_check(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterator[Check]:
-    """Yield the check of the scatter against what instruments, `std_m` (n_runs,), explain."""
-    dof = len(std_m) - fit.fitted(session).shape[1]
+    """Yield the check of the scatter against the instruments' standard uncertainties `std_m` (n_runs,)."""
+    dof = len(std_m) - fit.design_basis(session).shape[1]
     stated, scatter = float(np.sqrt(np.mean(np.nan_to_num(std_m) ** 2))), fit.run_std_m
     if dof < MIN_SLOPE_DOF or stated <= 0.0:
         return
@@ -43,22 +43,24 @@ def scatter_check(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterat
             "weave, slip) is not known, and may move the law by as much, which no interval holds; add logs, or "
             "amplitude_m and wavelength_m."
         )
-    # what a path may add is no finding, however sure
+    # a scatter that a tolerated path may add is no finding, however significant
     yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
 
 
-def held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
-    """Return the wheels' fits, failed where runs scatter beyond instruments and paths without the loads' doing.
+def with_reading_checks(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
+    """Return the wheels' fits, failed where runs scatter beyond instruments and paths and the loads do not explain it.
 
-    The law leaves most of what runs held out differ by, or another reading of the table leaves far less.
+    They do not where the law leaves most of the scatter of held-out runs, or another reading of the table far less.
     """
-    found = [[*scatter_check(one, getattr(radii, f"std_{one.wheel}_m"), radii.session)] for one in wheels]
-    if all(check.level == OK for part in found for check in part) or "constant" in {wheel.model for wheel in wheels}:
+    scatters = [[*scatter_check(wheel, getattr(radii, f"std_{wheel.wheel}_m"), radii.session)] for wheel in wheels]
+    if not any(check.level == NOTE for part in scatters for check in part) or "constant" in {
+        one.model for one in wheels
+    }:
         return wheels
-    other, judged = _other_reading(radii), []
-    for wheel, scatter in zip(wheels, found, strict=True):
-        left_m, before_m = _left(wheel, radii)
-        if any(check.level == NOTE for check in scatter) and (other or left_m > WORTH_SHARE * before_m):
+    other, judged = _better_reading(radii), []
+    for wheel, scatter in zip(wheels, scatters, strict=True):
+        left_m, before_m = _held_out_scatter_m(wheel, radii)
+        if any(check.level == NOTE for check in scatter) and (other or left_m > MAX_SHARE_LEFT * before_m):
             worst = ", ".join(radii.run_id[np.argsort(-np.abs(wheel.residual_m))][:3])
             remedy = f"hold loads, counts and distances against the notes of the day, first of {worst}"
             sentence = (
@@ -71,7 +73,9 @@ def held_against_residuals(radii: EffectiveRadii, wheels: list[WheelFit]) -> lis
     return judged
 
 
-def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
+def _held_out_scatter_m(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
+    # of each run about the others' fit, with the law and without it: beside one mean or one a session, whichever the
+    # law helps more
     pairs = []
     for means in (np.ones((len(radii), 1)), groups_of(radii.session).indicators):
         sizes = []
@@ -83,8 +87,8 @@ def _left(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
     return min(pairs, key=lambda pair: pair[0] / max(pair[1], 1e-300))
 
 
-def _other_reading(radii: EffectiveRadii) -> str:
-    # chance: the ratio of the squares to the power of half their degrees of freedom, times the readings
+def _better_reading(radii: EffectiveRadii) -> str:
+    # p-value of a reading: ratio of the squares to the power of half their dof, times the number of readings
     loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
     radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))
     days, n = groups_of(radii.session).indicators, len(loads)
@@ -117,9 +121,9 @@ def _other_reading(radii: EffectiveRadii) -> str:
     if not found:
         return ""
     best, square, _ = min(found)
-    alike = ", or ".join({words: 0 for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best})
+    likely = ", or ".join({words: 0 for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best})
     scatter = UM * np.sqrt(square / (2 * dof))
-    return f"read {alike}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
+    return f"read {likely}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
 
 
 def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[FloatArray]:
@@ -130,8 +134,8 @@ def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[Fl
 
 
 def _squares(loads: FloatArray, radius: FloatArray, days: FloatArray, start: FloatArray) -> tuple[float, IntArray]:
-    # squares left by both laws and the option of each run (n,), from those at `start`; loads and radii of each option
-    # (n_options, n, 2), indicators of the days (n, n_sessions)
+    # residual squares of both laws and the best option of each run (n,), searched from `start`; loads and radii of the
+    # options (n_options, n, 2), indicators of the days (n, n_sessions)
     runs, chosen = np.arange(loads.shape[1]), start.astype(np.int64)
     for _ in range(ROUNDS):
         squares = np.zeros(loads.shape[:2])

@@ -154,21 +154,21 @@ def robust_spread(values: FloatArray) -> float:
 
 
 #: fewer runs give no line, more nothing new
-LEAST_OF_A_LINE: Final = 8
-_MOST_OF_A_LINE: Final = 400
+MIN_LINE_RUNS: Final = 8
+_MAX_LINE_POINTS: Final = 400
 
 
-def slopes_of(x: FloatArray, y: FloatArray) -> FloatArray:
+def pair_slopes(x: FloatArray, y: FloatArray) -> FloatArray:
     """Return the slopes of pairs of points."""
-    step = 1 + len(x) // _MOST_OF_A_LINE
+    step = 1 + len(x) // _MAX_LINE_POINTS
     more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (x, y))
     return rise[more > 0.0] / more[more > 0.0]
 
 
-def off_line(x: FloatArray, y: FloatArray) -> FloatArray:
+def line_residuals(x: FloatArray, y: FloatArray) -> FloatArray:
     """Return `y` less its line in `x` by median slopes (Theil and Sen), of few runs less the median."""
     known = np.isfinite(x + y)
-    slopes = slopes_of(x[known], y[known]) if known.sum() >= LEAST_OF_A_LINE else np.zeros(0)
+    slopes = pair_slopes(x[known], y[known]) if known.sum() >= MIN_LINE_RUNS else np.zeros(0)
     line = np.median(slopes) * np.where(np.isnan(x), np.median(x[known]), x) if len(slopes) else np.zeros(len(x))
     return y - line - (np.median((y - line)[known]) if known.any() else 0.0)
 
@@ -204,7 +204,7 @@ def load_label(campaign: Campaign) -> StrArray:
     return np.asarray(["/".join(f"{value:g}" for value in row) for row in zip(*columns, strict=True)], dtype=np.str_)
 
 
-def groups_of(labels: StrArray) -> Iterator[tuple[str, IntArray]]:
+def runs_by_label(labels: StrArray) -> Iterator[tuple[str, IntArray]]:
     """Return each label and the numbers of its runs."""
     runs = grouped((label, run) for run, label in enumerate(labels.tolist()))
     return ((name, np.array(runs[name])) for name in sorted(runs))
@@ -259,7 +259,7 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
 
 
 #: squared correlation with the load, beyond which what stays within a covariate's interval moves the slope beyond its
-HIDING: Final = 0.5
+MAX_LOAD_R2: Final = 0.5
 #: runs that carry a law
 FEWEST_OF_A_LAW: Final = 3
 
@@ -267,7 +267,9 @@ FEWEST_OF_A_LAW: Final = 3
 def sessions_of_loads(campaign: Campaign) -> list[str]:
     """Return the sessions that have two loads or more."""
     label = load_label(campaign)
-    return [str(name) for name, runs in groups_of(campaign.runs.label("session")) if len(np.unique(label[runs])) > 1]
+    return [
+        str(name) for name, runs in runs_by_label(campaign.runs.label("session")) if len(np.unique(label[runs])) > 1
+    ]
 
 
 def load_and_session(campaign: Campaign) -> Iterator[Note]:
@@ -287,25 +289,25 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
     session, loads = campaign.runs.label("session"), both_sides(campaign, "load_{}_N")
     for name, values, cause, remedy in (
         ("order", np.arange(float(len(label))), "warming up", "loads in mixed order"),
-        ("direction", way(campaign.runs.label("direction")), "drag one way", "each load both ways"),
+        ("direction", direction_sign(campaign.runs.label("direction")), "drag one way", "each load both ways"),
     ):
-        if any(along_load(load, values, session)[0] ** 2 > HIDING for load in loads):
+        if any(covariate_against_load(load, values, session)[0] ** 2 > MAX_LOAD_R2 for load in loads):
             text = f"""the loads go with the {name} driven, so that {cause} and the effect of the load cannot be told
                 apart; drive {remedy}"""
             yield column_note(f"{name} and load", text, "ordered_load")
 
 
-def way(direction: StrArray) -> FloatArray:
+def direction_sign(direction: StrArray) -> FloatArray:
     """Return 1 for runs driven out, -1 for runs driven back, NaN for others."""
     name = np.char.lower(direction)
     return np.where(name == "out", 1.0, np.where(name == "back", -1.0, np.nan))
 
 
-def along_load(load_N: FloatArray, values: FloatArray, session: StrArray) -> tuple[float, float]:
+def covariate_against_load(load_N: FloatArray, values: FloatArray, session: StrArray) -> tuple[float, float]:
     """Return a covariate's correlation with the load within sessions, and its change per newton."""
     known = np.isfinite(load_N + values)
     columns = np.stack((load_N, values))[:, known]
-    for _, of in groups_of(session[known]) if known.any() else ():
+    for _, of in runs_by_label(session[known]) if known.any() else ():
         columns[:, of] -= columns[:, of].mean(axis=1, keepdims=True)
     (square, both), (_, own) = (columns @ columns.T).tolist()
     return (both / math.sqrt(square * own), both / square) if square * own > 0.0 else (0.0, 0.0)
@@ -326,14 +328,14 @@ def columns_as_one(campaign: Campaign) -> Iterator[Note]:
         np.abs(runs.number("speed_mps")),
         runs.number("temperature_C"),
         np.argsort(np.argsort(first))[session].astype(float),
-        way(runs.label("direction")),
+        direction_sign(runs.label("direction")),
     )
     for (one, a), (other, b) in combinations(zip(_CHANGED, values, strict=True), 2):
         known = np.isfinite(a + b)
         if known.sum() < LEAST_RUNS or not (np.ptp(a[known]) > _CHANGED[one] and np.ptp(b[known]) > _CHANGED[other]):
             continue
         within = runs.label("kind") if other == "direction" else np.full(len(a), "")
-        if (one, other) != ("load", "order of the sessions") and along_load(a, b, within)[0] ** 2 > _AS_ONE:
+        if (one, other) != ("load", "order of the sessions") and covariate_against_load(a, b, within)[0] ** 2 > _AS_ONE:
             text = f"""{one} and {other} change together, so that no diagnosis tells apart what they do; drive some runs
                 that change one alone"""
             yield column_note(f"{one} and {other}", text, "columns_as_one")

@@ -128,7 +128,7 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     if len(usable) < 5:
         return
     ratio, loads = np.log(right[usable] / left[usable]), checks.both_sides(campaign, "load_{}_N")[:, usable].T
-    away = checks.off_line(loads.sum(axis=1), checks.off_line(loads[:, 0] - loads[:, 1], ratio))
+    away = checks.line_residuals(loads.sum(axis=1), checks.line_residuals(loads[:, 0] - loads[:, 1], ratio))
     fitted, spread = ratio - away, max(checks.robust_spread(away), 2e-5)
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
     for at in np.flatnonzero(mirrored):

@@ -95,7 +95,7 @@ def factor_reason(ratio: float) -> str:
 
 def odd_sessions(campaign: Campaign, ratio: FloatArray) -> Iterator[tuple[str, float]]:
     """Yield sessions whose ratios are off those of all runs, shape (n_runs,), and by what factor."""
-    for name, runs in checks.groups_of(campaign.runs.label("session")):
+    for name, runs in checks.runs_by_label(campaign.runs.label("session")):
         there = ratio[runs][ratio[runs] > 0.0]
         if len(there) >= LEAST_RUNS and off(factor := float(np.median(there) / np.median(ratio[ratio > 0.0]))):
             yield name, factor
@@ -134,12 +134,12 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
 
 
 def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: str, load: FloatArray) -> Iterator[Note]:
-    spread = checks.robust_spread(checks.off_line(load, radius))
+    spread = checks.robust_spread(checks.line_residuals(load, radius))
     if len(radius) < 3 or spread < 0.01:
         return
     for shift in (1, -1):
         moved = (np.roll(distance, shift) - distance)[good] + radius
-        again = checks.robust_spread(checks.off_line(load, moved)[1:-1])
+        again = checks.robust_spread(checks.line_residuals(load, moved)[1:-1])
         if again < 0.2 * spread and np.isfinite(moved[1:-1]).sum() > 2:
             text = f"""the {side} wheel's radius scatters by {100 * spread:.2g} %, but by {100 * again:.2g} % with each
                 distance one row on; expected distance and counts of the same run in a row; is the column shifted?"""
@@ -216,7 +216,7 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     of = off if whole else known & (computed > 0.0).all(axis=0)
     ratios = (weighed / computed)[:, of]
     alike = False
-    if checks.stated(campaign, "vehicle.mass_kg") and of.sum() >= checks.LEAST_OF_A_LINE:
+    if checks.stated(campaign, "vehicle.mass_kg") and of.sum() >= checks.MIN_LINE_RUNS:
         spreads = np.maximum(_STATICS, [_LOAD_SPREADS * checks.robust_spread(ratio) for ratio in ratios])[:, None]
         middle = np.median(ratios, axis=1, keepdims=True)
         # what is off as all others are is no single run's
@@ -247,7 +247,7 @@ def _unit_of_shares(shares: FloatArray) -> str:
 
 def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
     known = np.isfinite(payload + total)
-    slopes = checks.slopes_of(payload[known], total[known])
+    slopes = checks.pair_slopes(payload[known], total[known])
     if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
         text = f"""each kg of payload adds {np.median(slopes):.3g} N to both wheels in sum; expected
             {_REAR_SHARE[0] * GRAVITY_MPS2:.2g} to {GRAVITY_MPS2:g} N; are they in {unit}?"""
@@ -257,9 +257,9 @@ def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     payload = campaign.runs.number("payload_kg")
     runs = np.flatnonzero(np.isfinite(total + payload))
-    if len(runs) < checks.LEAST_OF_A_LINE:
+    if len(runs) < checks.MIN_LINE_RUNS:
         return
-    away = checks.off_line(payload[runs], total[runs])
+    away = checks.line_residuals(payload[runs], total[runs])
     expected = total.copy()
     expected[runs] -= away
     far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * checks.robust_spread(away))

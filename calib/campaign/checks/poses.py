@@ -85,7 +85,7 @@ def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < _LEAST_STRAIGHT_RUNS:
         return
-    for name, members in (("", known), *checks.groups_of(session[known])):
+    for name, members in (("", known), *checks.runs_by_label(session[known])):
         found = values[known[members]] if name else values[known]
         if len(found) < LEAST_RUNS:
             continue

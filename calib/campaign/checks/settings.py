@@ -137,7 +137,7 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
     turns = checks.reference_turns(campaign)[1]
     odd = np.isfinite(turns) & (turns != 0.0)
     few = odd.sum() <= MOST_ODD * np.isfinite(turns).sum()
-    for _, runs in checks.groups_of(campaign.runs.label("session")) if few else ():
+    for _, runs in checks.runs_by_label(campaign.runs.label("session")) if few else ():
         # a session off by no whole turns has another unit or sign, and no wrong cell
         for run in runs[odd[runs]] if np.isinf(turns[runs]).mean() <= MOST_ODD else ():
             text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell, or omit a "
@@ -184,7 +184,7 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
     campaign = checks.on_axle(campaign)
     senses = _STEERED_SENSES if steered else _SENSES
     known, apart, _ = _apart_rad(campaign, senses)
-    for where, runs in (("all runs", np.arange(len(known))), *checks.groups_of(campaign.runs.label("session"))):
+    for where, runs in (("all runs", np.arange(len(known))), *checks.runs_by_label(campaign.runs.label("session"))):
         if len(of := runs[known[runs]]) >= LEAST_RUNS and (
             words := _made_good(np.median(np.abs(apart[:, of]), axis=1), senses)
         ):
@@ -381,12 +381,12 @@ def far_from_line(campaign: Campaign) -> Iterator[Note]:
         load = load if np.isfinite(load).any() else np.zeros(len(load))
         ratio = np.where(np.abs(ratio - 1) < 0.15, ratio, np.nan)
         away = np.full(len(ratio), np.nan)
-        for _, of in checks.groups_of(campaign.runs.label("kind")):
+        for _, of in checks.runs_by_label(campaign.runs.label("kind")):
             of = of[np.isfinite(ratio + load)[of]]
-            if len(of) >= checks.LEAST_OF_A_LINE:
+            if len(of) >= checks.MIN_LINE_RUNS:
                 x = load[of] - load[of].mean()
                 # a load far from the others' draws its line
-                away[of] = checks.off_line(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
+                away[of] = checks.line_residuals(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
         # the rangefinder's share keeps short runs, and exact data, from flagging their last digit
         with np.errstate(divide="ignore"):
             noise = campaign.rangefinder.sigma_m / campaign.runs.number("distance_m")
