@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.campaign.check import doubts, implausible, notes_for_results
 from calib.campaign.checks import MAX_LOAD_R2, assumed_settings, partial_slope
-from calib.campaign.checks.measurements import factor_reason, off
+from calib.campaign.checks.measurements import factor_reason, implausible_ratio
 from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_itself_m
@@ -147,7 +147,7 @@ def _beyond_bounds(wheel: WheelFit, nominal_m: float | None, runs: StrArray, *, 
     if not (np.isfinite(radius) and radius > 0):
         yield f"the radius at the reference load comes out as {radius:.4g} m; expected one above zero; check the loads"
         return
-    if nominal_m is not None and off(radius / nominal_m) and not radius_named:
+    if nominal_m is not None and implausible_ratio(radius / nominal_m) and not radius_named:
         yield (
             f"the radius comes out {radius / nominal_m:.2f} times nominal ({1e3 * radius:.4g} mm for "
             f"{1e3 * nominal_m:.4g} mm): {factor_reason(radius / nominal_m)}"
