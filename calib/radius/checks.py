@@ -236,7 +236,7 @@ def _range(fit: WheelFit) -> Check:
 def p_check(
     name: str, statistic: float, statistic_name: str, p_value: float, sentences: tuple[str, str], *, fails: bool = False
 ) -> Check:
-    """Return the check of a significance test.
+    """Return the check of a significance test; see `Check`.
 
     `sentences`: without and with a finding; `fails`: whether a p-value below `FAIL_BELOW` forbids the law.
     """

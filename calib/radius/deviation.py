@@ -1,19 +1,22 @@
-"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, and each run."""
+"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, runs, checks."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
+from calib.campaign.checks import partial_slope
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import steered_itself_m
 from calib.documents import plain
 from calib.errors import BadInputError
-from calib.radius.effective import UnusedRun, usable_runs
+from calib.radius.checks import NOTE_BELOW, UM, t_check
+from calib.radius.effective import EffectiveRadii, UnusedRun, usable_runs
 from calib.radius.path_length import PathExcess, arc_excess, correct_paths, small_amplitude_excess, whole_period_excess
+from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, Check, WheelFit
 from calib.types import BoolArray, FloatArray, Row, StrArray, floats, rows_of
 from calib.vehicle import Vehicle
 
@@ -177,6 +180,54 @@ def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str,
         "excess_left": float(path.left),
         "excess_right": float(path.right),
     }
+
+
+#: the stated amplitude is wrong by more than this factor: peak to peak is 2; 20 % errors of measuring pass
+AMPLITUDE_FACTOR: Final = 1.5
+
+
+def weave_checks(radii: EffectiveRadii, wheels: list[WheelFit]) -> Iterator[Check]:
+    """Yield the check of the residuals against measured weaves; it is of both wheels."""
+    known = np.char.startswith(radii.path_source, "columns")
+    if not known.any():
+        return
+    # the mean of both wheels: the net turn of a weave of unknown phase cancels
+    residual = np.mean([wheel.residual_m / wheel.radius_m.mean() for wheel in wheels], axis=0)[known]
+    excess = 0.5 * (radii.path_left + radii.path_right)[known]
+    laws = np.column_stack([wheel.design_basis(radii.session)[known] for wheel in wheels])
+    share, sd, dof = partial_slope(residual, excess, laws, NOTE_BELOW * float(excess.max()))
+    if dof < MIN_SLOPE_DOF or sd <= 0.0:
+        return
+    # the excess goes by the square of the amplitude
+    times = max(1.0 - share, 0.0) ** 0.5
+    moved = UM * share * float(excess.mean()) * wheels[0].law.radius_ref_m
+    sentences = (
+        "The residuals do not follow the weave.",
+        f"The residuals follow the weave as if its amplitude were {times:.2g} times the one stated, which moves the "
+        f"radii by {moved:+.2g} um: amplitude_m is half of peak to peak; check it.",
+    )
+    yield t_check("weave", share, sd, dof, sentences, fails=not 1.0 / AMPLITUDE_FACTOR < times < AMPLITUDE_FACTOR)
+
+
+def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
+    """Return `fit` with the check of paths that count as straight.
+
+    `radius_per_bow`: change of the radius by a bow of all runs, m/m; `apart_m`: see `steered_itself_m`.
+    """
+    moved, level = f"{UM * 0.01 * radius_per_bow:.2g} um", NOTE
+    sentence = (
+        f"No end heading was measured: paths are taken for straight. A bow of 1 cm in all runs moves the radius by "
+        f"{moved}, the other wheel's the other way, which no interval holds; measure ref_theta_rad, or declare "
+        "path.apart_m under [uncertainty]."
+    )
+    if apart_m >= 0.0:
+        level = FAILED
+        sentence = (
+            f"The wheels of all runs rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to have steered "
+            "by its own counts. Then only the mean of both radii is known; measure ref_theta_rad at the end, or guide "
+            "the vehicle by a line."
+        )
+    return replace(fit, checks=(*fit.checks, Check("path", level, sentence)))
 
 
 #: quantile of the normal distribution, 97.5 %

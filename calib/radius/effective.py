@@ -356,9 +356,10 @@ def systematic_shift(
     radius: FloatArray,
     offset_gain: FloatArray,
 ) -> FloatArray:
-    """Return the change of radius_ref and slope, shape (2,), by a standard uncertainty of a source.
+    """Return the change of radius_ref and slope, shape (2,), by one standard uncertainty.
 
-    `radius`, `offset_gain`: value at the reference load and slope of radius and of radius over distance, shape (2,).
+    `source`: see `SystematicSource`; `radius`, `offset_gain`: value at the reference load and slope of radius and of
+    radius over distance, shape (2,).
     """
     std = source.std
     match source.section, source.key:

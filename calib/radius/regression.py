@@ -39,6 +39,8 @@ _DOCUMENT: Final = (
     "reference_load_N", "intercept_m", "radius_ref_ci95_m", "slope_ci95_m_per_N", "r_squared", "residual_std_m",
     "dof_radius_ref", "model", "design", "run_std_m", "session_std_m", "checks",
 )  # fmt: skip
+#: fewest degrees of freedom of the scatter about a further slope
+MIN_SLOPE_DOF: Final = 5
 #: levels of a check: usable; usable with caution; the law should not be used as it is
 OK: Final = "ok"
 NOTE: Final = "note"
