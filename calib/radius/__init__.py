@@ -167,8 +167,8 @@ def _with_sessions(
     dof: tuple[float, float],
     run_variance: float,
 ) -> LineEstimate:
-    # per_square: covariance between sessions over the mean square of their means about the law. Where few sessions
-    # agree by chance, that is raised: no interval is narrower than by the runs alone
+    # per_square: covariance between sessions over the mean square of their means about the law, which is raised where
+    # few agree by chance: no interval is narrower than by the runs alone
     weight, explained = 1.0 / (WORKING_RATIO + 1.0 / sizes), run_variance * float(np.mean(1.0 / sizes))
     of_runs, of_sessions = stdtrit(dof, 0.975).tolist()
     least = explained * float(weight.mean()) * (of_runs / of_sessions) ** 2
@@ -200,7 +200,6 @@ RHO_MIN_DOF: Final = 6
 RHO_BELOW_P: Final = 0.05
 #: largest autocorrelation; beyond, runs say nothing of the scatter of their mean
 MAX_RHO: Final = 0.95
-#: step to which it is solved
 RHO_PRECISION: Final = 0.01
 
 
@@ -310,7 +309,7 @@ def widened(
         return estimate, order
     correlated = series.correlated(basis, order.rho)
     cross = basis.T @ correlated
-    # expectation of the residual squares over the variance of a run, and their degrees of freedom (Satterthwaite)
+    # expected residual squares over a run's variance, and their degrees of freedom (Satterthwaite)
     expected = n - float(np.trace(cross))
     square = float(series.correlated(np.ones((n, 1)), order.rho**2).sum())
     dof = expected**2 / max(square - 2.0 * float(np.sum(correlated**2)) + float(np.sum(cross**2)), 1.0)

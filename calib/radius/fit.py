@@ -111,7 +111,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, n
         if given and not any(source.section == "weighing" for source in sources):
             wheel = _with_weighing_check(wheel)
         if not any(source.section == "path" for source in sources) and np.isnan(used.number("ref_theta_rad")).all():
-            # a bow h turns the vehicle by 8 h / S: the wheels' paths differ by the track times that, half of it each
+            # a bow h turns the vehicle by 8 h / S: each wheel's path changes by half the track times that
             per_bow = 4.0 * campaign.vehicle.track_m * wheel.radius_m / radii.distance_m**2
             wheel = with_path_check(wheel, float(per_bow.mean()), steered_itself_m(campaign))
         wheels[name] = wheel
@@ -282,7 +282,7 @@ def scatter_check(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterat
             "weave, slip) is not known, and may move the law by as much, which no interval holds; add logs, or "
             "amplitude_m and wavelength_m."
         )
-    # a scatter that a tolerated path may add is no finding, however significant
+    # what a tolerated path may add is no finding
     yield Check("scatter", level, sentence, ratio, "scatter over stated", p_value if finding else None)
 
 
@@ -313,8 +313,7 @@ def with_reading_checks(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[W
 
 
 def _held_out_scatter_m(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, float]:
-    # scatter of each run about the fit of the others, with and without the law: about one mean or one a session, the
-    # pair that the law improves more
+    # scatter about the other runs' fit, with and without the law, beside one mean or one a session, as suits the law
     pairs = []
     for means in (np.ones((len(radii), 1)), groups_of(radii.session).indicators):
         sizes = []

@@ -256,8 +256,8 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
         yield Note("suspicious" if set(WEIGHTY) & set(keys) else "info", "campaign.toml", text, "assumed")
 
 
-#: largest squared correlation of a covariate with the load; beyond, an effect within the covariate's interval may move
-#: the slope by more than the slope's interval
+#: squared correlation with the load beyond which an effect within a covariate's interval may move the slope beyond its
+#: own
 MAX_LOAD_R2: Final = 0.5
 #: fewest runs for a law
 FEWEST_OF_A_LAW: Final = 3
@@ -315,7 +315,7 @@ def covariate_against_load(load_N: FloatArray, values: FloatArray, session: StrA
 
 #: squared correlation beyond which two columns are collinear: their effects' intervals are five times as wide
 _COLLINEAR_R2: Final = 0.96
-#: column -> smallest range that a diagnosis tries to explain runs by: the temperature of a hall changes by 1 K a day
+#: column -> smallest range that a diagnosis explains runs by: a hall changes by 1 K a day
 _MIN_CHANGE: Final = {"load": 20.0, "speed": 0.02, "temperature": 2.0, "order of the sessions": 0.5, "direction": 0.5}
 
 
@@ -364,7 +364,7 @@ def few_loads(campaign: Campaign) -> Iterator[Note]:
             yield column_note(f"load_{side}_N", f"{_FEW_LOADS[number]}; drive three loads or more", "few_loads")
 
 
-#: pasted values differ by less than this share of the uncertainty: rounding; two measurements do not agree so closely
+#: share of the uncertainty within which pasted values agree, and no two measurements in all
 _SAME_VALUE: Final = 0.01
 
 

@@ -199,7 +199,7 @@ def clock(campaign: Campaign) -> Iterator[Note]:
             continue
         moved = np.sum([np.abs(np.diff(log[name])) for name in log if name.startswith("counts_")], axis=0)
         rate = float(np.median((moved / np.where(step > 0, step, np.nan))[step > 0]))
-        # while driving, a real gap holds the counts of its duration, a jump of the clock those of one sample
+        # while driving, a gap holds the counts of its duration, a jump of the clock those of one sample
         jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at]]
         jumped = [at for at in jumped if moved[max(0, at - 3) : at].any() and moved[at + 1 : at + 4].any()]
         if gaps := [at for at in long if at not in jumped]:
@@ -278,8 +278,8 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
         yield checks.column_note("speed_mps", text, "speed_disagrees")
 
 
-#: fewest interruptions of a log; largest relative change of the counts per sample across one, and their least number
-#: there: no wheel stops and starts within a sample
+#: fewest interruptions of a log; at each, largest relative change of the counts a sample and their least number: no
+#: wheel stops and starts within a sample
 _MIN_INTERRUPTIONS, _MAX_STEP_CHANGE, _MIN_STEP_COUNTS = 5, 0.25, 20
 _GAP: Final = 1.5  #: time steps that lack a row, over the usual one
 
@@ -341,7 +341,7 @@ _STEPS: Final = 50
 _STRAIGHT_RAD: Final = 0.3
 #: width over length: above, a path covers an area; below, it is a line
 _AREA, _LINE = 0.2, 0.02
-#: scatter of the ratio of reference to wheels, over its mean: 0.5 where an axis is missing, hundredths where none is
+#: relative scatter of reference over wheels: 0.5 where an axis is missing, hundredths where none is
 _UNEVEN: Final = 0.2
 #: plausible ratio of reference to wheels; wrong counts alone make less of it
 _MOST_RATIO, _LEAST_RATIO = 3.0, 0.02
@@ -367,7 +367,7 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
         ratios[run] = np.median(ratio) if straight.any() else np.nan
         length, width = _length_and_width(position)
         alike += [bool((left == right)[known].all())] if width > _AREA * length and rolled.any() else []
-        # on a bent path a missing axis shows as an uneven ratio; wrong counts bend a straight one evenly
+        # on a bent path a missing axis shows as an uneven ratio
         long, wide = _length_and_width(np.cumsum(rolled * np.exp(0.5j * (turned[1:] + turned[:-1]))))
         if wide > _AREA * long and straight.any() and np.std(ratio) > _UNEVEN * np.mean(ratio):
             lines.append(width < _LINE * length)

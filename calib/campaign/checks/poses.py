@@ -22,8 +22,7 @@ _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
 _OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0
 #: factor by which an uncertainty is overstated
 _OVERSTATED: Final = 4.0
-#: factor by which an uncertainty is understated (1.41 is measuring start and end each), and standard deviations of the
-#: sum of squares that make it significant
+#: factor of an understated one (1.41: start and end measured each), and its significance in standard deviations
 _UNDERSTATED, _UNDERSTATED_SIGMAS = 1.5, 6.0
 #: largest angle between a straight run's start heading and its end
 _MOST_BEARING_RAD: Final = 0.3
@@ -31,14 +30,13 @@ _MOST_BEARING_RAD: Final = 0.3
 _TRACK_TOLERANCE: Final = 0.05
 #: robust spreads beyond which a run is omitted: its log may be damaged
 _OUTLIER_SPREADS: Final = 5.0
-#: indices of runs, and of each in m: offset of the end by the reference, half its heading times the distance, and bow
-#: by the log
+#: indices of runs; in m offset of the end by the reference, half its heading times the distance, bow by the log
 _Bows = tuple[IntArray, FloatArray, FloatArray, FloatArray]
 #: most straight runs whose bows are computed, to save time
 _MOST_STRAIGHT_RUNS: Final = 200
 #: standard uncertainty of placing a vehicle on its start mark
 _LEAST_ANGLE_RAD: Final = 0.01
-#: share of the scatter that remains, at most, once a mirrored y is mirrored back
+#: largest share of the scatter that remains once y is mirrored back
 _CLEARER: Final = 0.5
 #: positions over what was driven -> their unit
 POSITION_UNITS: Final = (
@@ -52,12 +50,12 @@ POSITION_UNITS: Final = (
 _MAX_DEGREES_PER_M: Final = 1e-4
 #: smallest turn of a run for a gyro's scale
 _LEAST_GYRO_TURN_RAD: Final = 0.5
-#: headings of nearly straight runs turn against the counts: significance in standard errors, and largest ratio
+#: headings that turn against the counts: significance in standard errors, and largest ratio
 _OPPOSED_SIGMAS, _OPPOSED_RATIO = 6.0, -0.3
 
 
 def position_unit_hint(ratio: float, otherwise: str) -> str:
-    """Return the question for the unit of positions that are `ratio` times too large; else another hint."""
+    """Return a hint at the unit of positions `ratio` times too large, or another."""
     unit = checks.meaning(ratio, POSITION_UNITS)
     unit = "degrees of latitude and longitude" if ratio < _MAX_DEGREES_PER_M else unit
     return f"are they in {unit}?" if unit else otherwise
@@ -92,7 +90,7 @@ def _distance_excess_m(campaign: Campaign, most: float) -> FloatArray:
 
 
 def _shared_offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[tuple[str, int, float, float]]:
-    # where all runs, or those of a session, are off alike: place, number, median and its standard error
+    # where all runs, or a session's, are off alike: number, median and its standard error
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < _LEAST_STRAIGHT_RUNS:
         return
@@ -109,7 +107,7 @@ def _shared_offsets(values: FloatArray, session: StrArray, allowed: float) -> It
 
 
 def _bows(campaign: Campaign) -> _Bows:
-    # offset less half the heading times the distance does not depend on unequal radii; a wrong track scales it
+    # unequal radii leave the offset less half the heading times the distance alone, a wrong track scales it
     runs, logs = campaign.runs, campaign.logs
     theta = runs.number("ref_theta_rad")
     used = np.flatnonzero(_straight(campaign) & np.isfinite(theta) & (np.abs(theta) < 0.3) & (logs.lengths >= 20))
@@ -194,7 +192,7 @@ def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
 
 
 def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
-    """Find straight runs that do not end in the direction of their start heading."""
+    """Find straight runs that end off the direction of their start heading."""
     runs, turned = campaign.runs, checks.turned_rad(campaign)
     x, y, distance = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "distance_m"))
     away = np.hypot(x, y)
@@ -211,7 +209,7 @@ def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
 
 
 def turned_frame(campaign: Campaign) -> Iterator[Note]:
-    """Compare the headings of straight runs with the side that their ends lie to."""
+    """Compare the headings of straight runs with where they end."""
     runs, angle = _frame_angles_rad(campaign)
     for where, n_runs, median, error in _shared_offsets(angle, campaign.runs.label("session")[runs], _LEAST_ANGLE_RAD):
         text = f"""the ends of {n_runs} straight runs {where} lie {abs(median):.3g} rad further to the
@@ -262,8 +260,8 @@ def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
         yield column_note("gyro_theta_rad", text, "gyro_against_reference")
 
 
-#: a lost reference differs from the wheels by more than so many metres, the distance rolled with this slip, so many
-#: standard uncertainties, and so many times its usual (90 %) difference
+#: difference of a lost reference from the wheels: in metres, beyond this slip, in standard uncertainties, and in usual
+#: (90 %) differences
 _LOST_M, _SLIP, _LOST_SIGMAS, _UNUSUAL = 0.05, 1.5, 15.0, 4.0
 
 

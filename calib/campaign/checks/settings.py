@@ -13,7 +13,7 @@ from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
-#: relative departure of both radii from nominal that wear (1 %) does not explain, and beyond which the wheel is another
+#: relative departure of both radii from nominal beyond wear (1 %), and that of another wheel
 FAR_FROM_NOMINAL: Final = 0.012
 MOST_FAR: Final = 0.05
 UNLIKE_LOADS: Final = 0.1  #: of two wheels that are not compared: share of their sum by which they differ
@@ -166,7 +166,7 @@ _MOST_STEERED_RAD, _SINGLE_SAMPLES = 2.0 * np.pi, 0.01
 _MOST_CAR_RAD: Final = 1.0
 #: difference of headings and counts that is a finding, and share of it that may remain once corrected
 _MIN_DIFFERENCE_RAD, _CORRECTED_SHARE = 1.0, 0.1
-#: the same of a single run, by noise, and by radii and track as a share of its turn; else its log is another run's
+#: remaining difference of a single run: by noise, and by radii and track as a share of its turn
 _SINGLE_RAD, _SINGLE_SHARE = 0.05, 0.06
 
 
@@ -232,7 +232,7 @@ def _disagreement_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, Fl
 
 
 def _correction(difference_rad: FloatArray, senses: Senses) -> str:
-    # words of the sense that makes headings and counts agree; empty where none is needed, or helps
+    # words of the sense by which headings and counts agree; empty where none is needed or helps
     best = int(np.argmin(difference_rad))
     if difference_rad[0] <= _MIN_DIFFERENCE_RAD or difference_rad[best] >= _CORRECTED_SHARE * difference_rad[0]:
         return ""
@@ -389,7 +389,7 @@ def far_from_line(campaign: Campaign) -> Iterator[Note]:
                 x = load[of] - load[of].mean()
                 # residuals are smaller at a load far from the others', by its leverage
                 away[of] = checks.line_residuals(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
-        # no less than the rangefinder's share: exact data, and short runs, are no outliers by their last digit
+        # no less than the rangefinder's share, for exact data and short runs
         with np.errstate(divide="ignore"):
             noise = campaign.rangefinder.sigma_m / campaign.runs.number("distance_m")
         spread = np.maximum(checks.robust_spread(away) * 1.2, noise)
