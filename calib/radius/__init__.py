@@ -80,6 +80,11 @@ def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
     return float(statistic), float(p_value)
 
 
+def needs_hc3(residual: FloatArray, x: FloatArray, dof: float) -> bool:
+    """Return whether the scatter of residuals clearly depends on `x`, with enough degrees of freedom for HC3."""
+    return dof >= HC3_MIN_DOF and breusch_pagan(residual, x)[1] < HC3_BELOW
+
+
 def line_of_strata(
     sizes: FloatArray,
     x_mean: FloatArray,
@@ -147,9 +152,7 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
     residual = y_within - slope * x_within
     squares = float(y_within @ y_within), float(residual @ residual)
     estimate = line_of_strata(groups.sizes, groups.means(x), groups.means(y), info, slope, *squares)
-    if estimate is None or estimate.design == "confounded" or estimate.dof_within < HC3_MIN_DOF:
-        return estimate
-    if breusch_pagan(residual, x)[1] >= HC3_BELOW:
+    if estimate is None or estimate.design == "confounded" or not needs_hc3(residual, x, estimate.dof_within):
         return estimate
     # statsmodels has no HC3 here: a run's leverage holds its share of the session's mean, too
     leverage = 1.0 / groups.sizes[groups.index] + x_within**2 / info

@@ -177,7 +177,7 @@ def _influence(runs: _Residuals) -> Check | None:
         f"{words} standard deviations of the others: look at {whose} load, distance and counts, and correct it, "
         f"exclude it with a reason or repeat it.{load}",
     )
-    # a law that outliers move less is within the interval of the law without them
+    # moved less, the law stays within the interval of the others'
     fails = moved > stdtrit(dof, 0.975) ** 2
     return p_check("influence", size, f"largest studentised residual of {n - last}", p_value, sentences, fails=fails)
 

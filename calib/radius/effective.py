@@ -111,7 +111,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
         loads = np.full_like(loads, own_N)
     turn = turned_rad(campaign)
-    # a turn in proportion to the load difference comes from the radii, one equal in all runs from counts_per_rev
+    # turns in proportion to the load difference come from the radii, equal ones from counts_per_rev
     unusual = line_residuals(loads[0] - loads[1], turn)
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
@@ -214,9 +214,9 @@ def _budget(parts: Mapping[str, FloatArray], campaign: Campaign) -> tuple[Compon
     )
 
 
-#: half width over standard deviation; the half width of a normal distribution is that of its 95 % interval
+#: half width over standard deviation; of a normal distribution that of its 95 % interval
 _DIVISORS: Final[Mapping[str, float]] = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "normal": 1.96}
-#: fourth moment over the squared variance, for the angle of the beam, whose square the distance depends on
+#: fourth moment over the squared variance: the distance depends on the square of the beam's angle
 _KURTOSIS: Final[Mapping[str, float]] = {"rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "normal": 3.0}
 
 

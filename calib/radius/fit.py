@@ -31,7 +31,7 @@ from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, OK, SAME_LOAD, 
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray, IntArray, StrArray
 
-#: largest reference load over the largest driven; beyond, rounding takes all digits of the line
+#: largest reference load over the largest driven; beyond, rounding takes all digits
 MAX_REFERENCE_RATIO: Final = 1e4
 #: largest plausible change of a radius with load, and scatter of single runs, as shares of the radius
 MAX_LOAD_CHANGE: Final = 0.2
@@ -326,7 +326,7 @@ def _held_out_scatter_m(wheel: WheelFit, radii: EffectiveRadii) -> tuple[float, 
 
 
 def _better_reading(radii: EffectiveRadii) -> str:
-    # p-value of a reading: ratio of the squares to the power of half their dof, times the number of readings
+    # p-value of a reading: ratio of squares to the power of half their dof, times the readings
     loads = np.column_stack((radii.load_left_N, radii.load_right_N)) / float(np.max(radii.load_left_N))
     radius = np.column_stack((radii.radius_left_m, radii.radius_right_m))
     days, n = groups_of(radii.session).indicators, len(loads)

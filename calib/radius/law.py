@@ -19,7 +19,7 @@ JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_
 #: of all intervals, and the quantile at their upper end
 COVERAGE: Final = 0.95
 UPPER: Final = 0.5 + COVERAGE / 2
-#: shares of the between part in the variance for which critical values are solved; denser at the ends, where they bend
+#: shares of the between part for which critical values are solved; denser at the ends, where they bend
 SHARES: Final = 0.5 * (1 - np.cos(np.pi * np.arange(25) / 24))
 #: half steps of the solution; the coverage is then right to 0.15 %
 WELCH_ITERATIONS: Final = 12
@@ -29,7 +29,7 @@ FEWEST_BETWEEN_DOF: Final = 2.0
 NODES_FEW_DOF: Final = 64
 NODES_MANY_DOF: Final = 16
 MANY_DOF: Final = 20.0
-#: degrees of freedom that stand for infinitely many: Student's t is then normal to six digits
+#: stands for infinitely many: Student's t is then normal to six digits
 LARGEST_DOF: Final = 1e6
 
 
@@ -50,7 +50,7 @@ class WheelLaw:
     dof: float
     #: standard deviation of a single run, in a session of its own, about the law; 0: not estimated
     residual_std_m: float
-    #: range of the measured loads (a coefficient file's valid range); beyond, the law extrapolates
+    #: measured range (a coefficient file's valid range); beyond, the law extrapolates
     load_min_N: float
     load_max_N: float
     n_runs: int

@@ -13,13 +13,11 @@ from scipy.special import stdtrit
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
 from calib.radius import (
-    HC3_BELOW,
-    HC3_MIN_DOF,
     WORKING_RATIO,
     Autocorrelation,
     Groups,
-    breusch_pagan,
     groups_of,
+    needs_hc3,
     stratified_constant,
     stratified_line,
     widened,
@@ -324,7 +322,7 @@ def independent_line(ols: "RegressionResults", x: FloatArray | None = None) -> L
 
     `x` (shape (n_runs,)): load minus reference load, for HC3 where the scatter clearly depends on it; None: never HC3.
     """
-    hc3 = x is not None and ols.df_resid >= HC3_MIN_DOF and breusch_pagan(ols.resid, x)[1] < HC3_BELOW
+    hc3 = x is not None and needs_hc3(ols.resid, x, ols.df_resid)
     covariance = ols.cov_HC3 if hc3 else ols.cov_params()
     return LineEstimate.one_stratum(
         "single", ols.params, covariance, float(ols.df_resid), float(ols.mse_resid), hc3=bool(hc3)
