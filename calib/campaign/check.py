@@ -1,4 +1,4 @@
-"""What a campaign holds, what is wrong and what is suspicious, said before anyone computes.
+"""Contents of a campaign, and what is wrong or suspicious about it, before anything is computed.
 
 Wrong are blunders in units and settings: a factor beyond what wear, load or a poor nominal value explain.
 """
@@ -31,8 +31,8 @@ from calib.vehicle import Usual
 
 
 def implausible(campaign: Campaign) -> Iterator[Note]:
-    """Yield what cannot be, as notes of level ``wrong``; rows flagged as excluded are passed over."""
-    notes, campaign = _taken_apart(campaign.included())
+    """Yield implausible values as notes of level ``wrong``, but of rows flagged as excluded."""
+    notes, campaign = _with_counts_of_runs(campaign.included())
     yield from notes
     of_columns = measurements.implausible_distances, measurements.implausible_loads, _columns, poses.implausible_poses
     of_logs = counts.implausible_paths, counts.interrupted_counts, settings.implausible_senses
@@ -40,18 +40,19 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
         yield from check(campaign)
 
 
-def _taken_apart(campaign: Campaign) -> tuple[list[Note], Campaign]:
-    counts = both_sides(campaign, "counts_{}")
-    step = np.diff(counts, prepend=0.0)
-    counted = dict(zip(("counts_left", "counts_right"), np.where(step < 0, counts, step), strict=True))
-    apart = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **counted}))
-    ratios = np.array([[checks.raw_radius_ratio(one, side) for side in SIDES] for one in (campaign, apart)])
-    fitting = np.abs(np.log(np.abs(ratios))) < np.log(measurements.MOST_RATIO)
-    if len(campaign.runs) < checks.LEAST_RUNS or fitting[0].mean() > 0.5 or fitting[1].mean() < checks.MOST_OF_THE_RUNS:
+def _with_counts_of_runs(campaign: Campaign) -> tuple[list[Note], Campaign]:
+    # where the table has running totals: a note, and the campaign with their differences
+    totals = both_sides(campaign, "counts_{}")
+    step = np.diff(totals, prepend=0.0)
+    counted = dict(zip(("counts_left", "counts_right"), np.where(step < 0, totals, step), strict=True))
+    of_steps = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **counted}))
+    ratios = np.array([[checks.raw_radius_ratio(one, side) for side in SIDES] for one in (campaign, of_steps)])
+    known = np.abs(np.log(np.abs(ratios))) < np.log(measurements.MOST_RATIO)
+    if len(campaign.runs) < checks.LEAST_RUNS or known[0].mean() > 0.5 or known[1].mean() < checks.MOST_OF_THE_RUNS:
         return [], campaign
     text = """the counts are totals that grow from run to run; expected what each run counted, as their steps are; write
         the difference from the run before, at a counter's start the count itself"""
-    return [implausible_column("counts_left, counts_right", text)], apart
+    return [implausible_column("counts_left, counts_right", text)], of_steps
 
 
 def _settings(campaign: Campaign) -> Iterator[Note]:
@@ -101,7 +102,7 @@ def model_against_vehicle(campaign: Campaign) -> Iterator[Note]:
 def _model(campaign: Campaign) -> Iterator[Note]:
     model = campaign.model
     for key, believed, nominal in _against_vehicle(campaign):
-        if measurements.off(believed / nominal):
+        if measurements.implausible_ratio(believed / nominal):
             text = f"""found {believed:g} where the vehicle has {nominal:g}, {believed / nominal:.3g} times; expected
                 the same within a third; check the unit, and whether a diameter was given"""
             yield implausible_setting(key, text)
@@ -121,7 +122,7 @@ def _model(campaign: Campaign) -> Iterator[Note]:
         yield implausible_setting("model.reference_load_N", text)
 
 
-#: column -> what a run can have, what lies behind another value; 1e-9: above zero
+#: column -> plausible values, and a question about others; 1e-9: above zero
 _COLUMNS: Final[dict[str, tuple[Usual, str]]] = {
     "temperature_C": (Usual(-50.0, 60.0), "is it in Fahrenheit or kelvin?"),
     "minutes_under_load": (Usual(0.0, math.inf), "count from when the payload was put on"),
@@ -226,38 +227,39 @@ def check_campaign(campaign: Campaign, progress: Progress = silent, more: Iterab
     alone are reported; `more`: found elsewhere.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
-    found, kept = _taken_apart(campaign.included())
-    notes = [*more, *found] + [
-        note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded
-    ]
-    if not len(kept.runs):
+    of_totals, included = _with_counts_of_runs(campaign.included())
+    of_reading = (note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded)
+    notes = [*more, *of_totals, *of_reading]
+    if not len(included.runs):
         text = f"all {len(excluded)} runs are flagged as excluded, so that nothing is left; clear those that are sound"
         notes.append(checks.column_note("excluded", text, "excluded_all", "wrong"))
     else:
         for check in stepped(CHECKS.values(), progress, "checks"):
-            notes.extend(check(kept))
-    lacking = {f"looks like {name}" for name in _NEEDED if not np.isfinite(kept.runs.number(name)).any()}
-    notes = [replace(one, level="wrong") if one.text.partition(" and ")[0] in lacking else one for one in notes]
-    told = {re.sub(", row [0-9]+", "", note.where) for note in notes if note.run_id and note.level == "wrong"}
-    notes = [note for note in notes if note.run_id or note.level != "wrong" or note.where not in told]
+            notes.extend(check(included))
+    lacking = {f"looks like {name}" for name in _NEEDED if not np.isfinite(included.runs.number(name)).any()}
+    notes = [replace(note, level="wrong") if note.text.partition(" and ")[0] in lacking else note for note in notes]
+    # a wrong column is not repeated where its cells are wrong
+    of_cells = {re.sub(", row [0-9]+", "", note.where) for note in notes if note.run_id and note.level == "wrong"}
+    notes = [note for note in notes if note.run_id or note.level != "wrong" or note.where not in of_cells]
     names = ("wrong", "suspicious", "info")
     levels = {level: tuple(dict.fromkeys(note for note in notes if note.level == level)) for level in names}
     return CheckReport(campaign.name, campaign.simulated, _summarise(campaign), **levels)
 
 
-#: without these nothing can be learnt of wheels on a line
+#: columns that no radius can be computed without
 _NEEDED: Final = ("distance_m", "counts_left", "counts_right", "load_left_N", "load_right_N")
-#: notes of the reading that change a result: columns not used, rows that are no runs, sessions joined
+#: notes made while reading that change a result: columns not used, rows that are no runs, sessions joined
 _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling", "sim_in_logs"})
 #: checks whose findings fit and diagnosis report themselves, or that change neither
 _NOT_OF_RESULTS: Final = frozenset(
     {"missing_values", "load_and_session", "few_loads", "implausible", "clock", "steered_by_itself"}
 )
-#: findings of one check that a result lists
+#: most findings of one check that a result lists
 _MOST_LISTED: Final = 3
 
 
-def _together(notes: Iterable[Note]) -> list[Note]:
+def _merged(notes: Iterable[Note]) -> list[Note]:
+    # notes of one text as one, on all their runs or places
     merged = []
     for of in grouped((note.text, note) for note in notes).values():
         names = list(dict.fromkeys(one.run_id or one.where for one in of))
@@ -267,45 +269,45 @@ def _together(notes: Iterable[Note]) -> list[Note]:
 
 
 def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str, ...]:
-    """Return what a fit or a diagnosis says of its data first: each changes the answer, and the answer shows none.
+    """Return the findings that a fit or a diagnosis states first: each changes the result, and none shows in it.
 
-    `of_loads`: also of payloads, wheel loads and values that nobody stated: none makes runs end off by a share of their
+    `of_loads`: with those on payloads, wheel loads and assumed values, which make no run's end off by a share of its
     length.
     """
-    kept = _taken_apart(campaign.included())[1]
+    included = _with_counts_of_runs(campaign.included())[1]
     checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]
-    of_checks = (check(kept) for check in (*checks, settings.odd_lengths))
-    said = []
-    for several in ([note for note in campaign.notes if note.code in _OF_READING], *of_checks):
-        notes = _together(note for note in several if of_loads or not ("load" in note.code or note.code == "assumed"))
-        said += [note.sentence for note in notes[:_MOST_LISTED]]
-        if len(notes) > _MOST_LISTED:
-            said.append(f"{len(notes) - _MOST_LISTED} more of this kind ({notes[0].code}): 'calib check' lists them.")
-    return tuple(dict.fromkeys(said))
+    of_checks = (check(included) for check in (*checks, settings.odd_lengths))
+    sentences = []
+    for found in ([note for note in campaign.notes if note.code in _OF_READING], *of_checks):
+        notes = _merged(note for note in found if of_loads or not ("load" in note.code or note.code == "assumed"))
+        sentences += [note.sentence for note in notes[:_MOST_LISTED]]
+        if more := len(notes[_MOST_LISTED:]):
+            sentences.append(f"{more} more of this kind ({notes[0].code}): 'calib check' lists them.")
+    return tuple(dict.fromkeys(sentences))
 
 
 _OF_ALL_RADII: Final = frozenset({"count_scale", "contradicted_load", "swapped_loads", "runs, columns load and speed"})
 
 
 def doubts(campaign: Campaign) -> Iterator[str]:
-    """Yield what is suspicious of all runs' radii and loads alike, which moves a law and shows in no residual."""
-    kept = _taken_apart(campaign.included())[1]
-    scale = ("count_scale",) if checks.stated(kept, "vehicle.wheel_radius_m") else ()
+    """Yield findings on the radii or loads of all runs, which bias a law and show in no residual."""
+    included = _with_counts_of_runs(campaign.included())[1]
+    scale = ("count_scale",) if checks.stated(included, "vehicle.wheel_radius_m") else ()
     for name in (*scale, "counts_per_revolution", "loads_against_payload", "columns_as_one"):
-        for note in CHECKS[name](kept):
+        for note in CHECKS[name](included):
             if (note.level, note.run_id) == ("suspicious", "") and _OF_ALL_RADII & {note.code, note.where}:
                 yield note.sentence
 
 
 def assumed_notes(campaign: Campaign) -> tuple[str, ...]:
-    """Return what nobody stated and results rest on."""
+    """Return the assumed values that results rest on, in sentences."""
     return tuple(note.sentence for note in checks.assumed_values(campaign))
 
 
 def runs_of_broken_counters(campaign: Campaign) -> tuple[str, ...]:
     """Return the runs whose counters jump, were reset or do not count."""
-    kept = campaign.included()
-    notes = (*counts.dead_counters(kept), *counts.count_jumps(kept))
+    included = campaign.included()
+    notes = (*counts.dead_counters(included), *counts.count_jumps(included))
     return tuple(sorted({note.run_id for note in notes if note.run_id}))
 
 

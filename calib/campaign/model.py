@@ -60,7 +60,7 @@ LOG_COLUMNS: Final = ("t_s", *_WHEEL_COLUMNS, "gyro_z_radps", "range_m", *REFERE
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """Something recognised, converted or found on the API."""
+    """Something recognised, converted or found while reading."""
 
     #: ``info`` (recognised or converted), ``suspicious`` or ``wrong``
     level: str
@@ -308,7 +308,7 @@ class Campaign:
     runs, logs
         The run table, and logs of the same runs in the same order.
     notes
-        What was recognised and converted on the API.
+        What was recognised and converted while reading.
     hashes
         SHA-256 of every file read, by path in the folder.
     extra
@@ -372,8 +372,8 @@ class Campaign:
             f"  logs     {int(logs.present.sum())} runs, {int(logs.offsets[-1])} samples",
         ]
         for level in ("wrong", "suspicious"):
-            told = sum(note.level == level for note in self.notes)
-            lines += [f"  notes    {told} {level}; see 'calib check'"] if told else []
+            n_notes = sum(note.level == level for note in self.notes)
+            lines += [f"  notes    {n_notes} {level}; see 'calib check'"] if n_notes else []
         return "\n".join(lines)
 
     def __repr__(self) -> str:

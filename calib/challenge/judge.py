@@ -53,11 +53,11 @@ def compare(truth: Truth, verdict: Mapping[str, Any]) -> list[Compared]:
     return compared
 
 
-#: nearer causes, in standard deviations of the noise, form one group
-APART: Final = 3.0
+#: distance, in standard deviations of the noise, below which causes form one group
+RESOLVED_SIGMAS: Final = 3.0
 #: signal from which an effect of a crowded case has to be named
-STRONG: Final = 20.0
-OPEN: Final = ("unknown", "partly_explained")
+NAMED_FROM_SIGNAL: Final = 20.0
+LEFT_OPEN: Final = ("unknown", "partly_explained")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Judged:
     in_group: bool  #: every true effect is named, or stands in a group with a named one
     covered: bool | None  #: the 95 % set holds the truth; None: it is in no library
     set_size: int
-    #: by the plant no other effect is nearer than `APART`; None: not measured
+    #: by the plant no other effect is nearer than `RESOLVED_SIGMAS`; None: not measured
     separable: bool | None
     rival: str
     #: a fix is recommended; and a cause of it is neither true nor in a group with the truth
@@ -91,7 +91,7 @@ class Judged:
     predicted: float | None
     achieved: float | None
     seconds: float | None
-    #: in a crowded case: each effect from `STRONG` on is named or in a group with one
+    #: in a crowded case: each effect from `NAMED_FROM_SIGNAL` on is named or in a group with one
     strong: tuple[bool, ...] = ()
     decided: bool = False  #: the verdict is ``explained``, and what it names first is true or of a true effect's family
     error: str = ""
@@ -104,32 +104,32 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     """Hold the JSON of a verdict (None: there is none) against the truth.
 
     Right is: nothing, for an empty case; the effect first, or both of two; ``unknown`` or ``partly_explained`` for one
-    outside the library; truth and alias in a group; an effect nearer than `APART` where the true one was deleted.
+    outside the library; truth and alias in a group; where the true one
+    was deleted, an effect nearer than `RESOLVED_SIGMAS`.
     """
     recipe = truth.recipe
     given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}
     word = str(given.get("verdict", "missing"))
-    crowded = recipe.group == "crowded"  # its outside cause is the rest: none can name it
+    crowded = recipe.group == "crowded"  # its outside cause is a residual that none can name
     effects = tuple(c.effect for c in truth.causes if not (crowded and c.effect.startswith("outside:")))
     causes = [cause for cause in given.get("causes", []) if isinstance(cause, dict)]
     named = tuple(str(cause.get("effect", "")) for cause in causes)
     groups = groups_of(given, causes)
-    near = {name for name, distance in truth.rivals if distance < APART} | set(recipe.aliases)
+    near = {name for name, distance in truth.rivals if distance < RESOLVED_SIGMAS} | set(recipe.aliases)
     in_library = recipe.group != "outside" and not recipe.deleted
     first = bool(named) and named[0] in effects if effects else not named and word == "no_gap"
-    both = all(grouped_with(effect, named, groups) for effect in effects) and (bool(effects) or first)
+    in_group = all(grouped_with(effect, named, groups) for effect in effects) and (bool(effects) or first)
     strong = tuple(grouped_with(effect, named, groups) for effect in _strong(truth))
     sets = [set(credible) for credible in given.get("credible_sets", [])]
-    # named, neither true nor in a group with a true one
-    sure = [cause for cause in named if cause not in near and not grouped_with(cause, effects, groups)]
+    false_causes = [cause for cause in named if cause not in near and not grouped_with(cause, effects, groups)]
     recommended = bool(given.get("recommended", False))
     extra = given.get("challenge") or {}
     tried = extra.get("achieved") or {}
     before, after = tried.get("before_over_floor"), tried.get("after_over_floor")
     target = recipe.targets[0] if recipe.targets else math.nan
     right = {
-        "outside": word in OPEN,
-        "deleted": word in OPEN or (bool(named) and named[0] in near),
+        "outside": word in LEFT_OPEN,
+        "deleted": word in LEFT_OPEN or (bool(named) and named[0] in near),
         "alias": any(effects[0] in group and bool(group & set(recipe.aliases)) for group in groups if effects),
         "pair": set(effects) <= set(named),
         "crowded": all(strong),
@@ -145,13 +145,13 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         named=named,
         right=right,
         first=first,
-        in_group=both,
+        in_group=in_group,
         covered=any(set(effects) <= credible for credible in sets) if in_library else None,
         set_size=len(sets),
-        separable=truth.rivals[0][1] >= APART if truth.rivals else None,
+        separable=truth.rivals[0][1] >= RESOLVED_SIGMAS if truth.rivals else None,
         rival=f"{truth.rivals[0][0]} {truth.rivals[0][1]:.1f}" if truth.rivals else "",
         recommended=recommended,
-        wrong_fix=recommended and bool(sure or not effects),
+        wrong_fix=recommended and bool(false_causes or not effects),
         harmful=bool(after > before) if recommended and before is not None and after is not None else None,
         statements=() if recipe.group == "alias" else _stated(causes, effects),
         intervals=tuple(compare(truth, given)),
@@ -189,7 +189,7 @@ def _strong(truth: Truth) -> list[str]:
     return [
         cause.effect
         for cause, signal, beside in zip(truth.causes, truth.signals, truth.beside, strict=True)
-        if not cause.effect.startswith("outside:") and min(signal or 0.0, beside or 0.0) >= STRONG
+        if not cause.effect.startswith("outside:") and min(signal or 0.0, beside or 0.0) >= NAMED_FROM_SIGNAL
     ]
 
 
@@ -198,10 +198,10 @@ def grouped_with(effect: str, named: Sequence[str], groups: Sequence[set[str]]) 
     return effect in named or any(effect in group and group & set(named) for group in groups)
 
 
-SILENT: Final = ("no_gap", "undecided", "unknown")
-UNSEEN: Final = ("no_gap", "undecided")
-#: families with nothing in common but the name
-NO_FAMILY: Final = ("own", "covariate", "")
+NAMES_NOTHING: Final = ("no_gap", "undecided", "unknown")
+NO_GAP_SEEN: Final = ("no_gap", "undecided")
+#: families whose members have nothing in common
+UNRELATED_FAMILIES: Final = ("own", "covariate", "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,15 +222,15 @@ def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
     word = str(verdict["verdict"])
     causes = list(verdict.get("causes", ()))
     named = [str(cause["effect"]) for cause in causes]
-    families = {str(cause.get("family", "")) for cause in causes[:1]} - set(NO_FAMILY)
+    families = {str(cause.get("family", "")) for cause in causes[:1]} - set(UNRELATED_FAMILIES)
     together = family in families or grouped_with(effect, named, groups_of(verdict, causes))
-    named_wrongly = bool(named) and word not in SILENT and not together
+    named_wrongly = bool(named) and word not in NAMES_NOTHING and not together
     return Answer(
         verdict=word,
-        seen=word not in UNSEEN,
+        seen=word not in NO_GAP_SEEN,
         first=named[:1] == [effect],
         in_group=together,
-        open=word in OPEN,
+        open=word in LEFT_OPEN,
         wrong=named_wrongly if effect else bool(verdict.get("recommended", False)),
     )
 

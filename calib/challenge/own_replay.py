@@ -14,8 +14,8 @@ from calib.plant import Moment, World, build_world, standardised
 from calib.plant.design import Design
 from calib.types import BoolArray, FloatArray, IntArray, floats
 
-#: of fewer units draws repeat: the next wider circle is taken
-ENOUGH: Final = 8
+#: fewest exchangeable units: with fewer draws repeat
+MIN_EXCHANGEABLE: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,27 +43,27 @@ class OwnNoise:
 
 def own_noise(observations: Observations, left: FloatArray, covariance: FloatArray) -> OwnNoise:
     """Return the noise of what a fit leaves (n_units, 6) under its covariance (n_units, 6, 6)."""
-    # of one condition where there are enough, else of one route, else of the same channels
+    # exchangeable are units of one condition, where enough, else of one route, else with the same channels
     channels = observations.usable @ (2 ** np.arange(6))
     alike = (observations.condition, observations.kind, np.zeros_like(channels))
-    circles = [np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1] for by in alike]
-    group = circles[2] + circles[0].max() + circles[1].max() + 2
-    for offset, circle in ((circles[0].max() + 1, circles[1]), (0, circles[0])):
-        group = np.where(np.bincount(circle)[circle] >= ENOUGH, circle + offset, group)
+    rings = [np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1] for by in alike]
+    group = rings[2] + rings[0].max() + rings[1].max() + 2
+    for offset, ring in ((rings[0].max() + 1, rings[1]), (0, rings[0])):
+        group = np.where(np.bincount(ring)[ring] >= MIN_EXCHANGEABLE, ring + offset, group)
     root = floats(np.linalg.cholesky(covariance))
     kept = np.where(observations.usable, left, 0.0)[:, :, None]
     whitened = floats(np.linalg.solve(root, kept)[:, :, 0])
-    size = np.bincount(circles[0])[circles[0]]
-    for number in np.flatnonzero(np.bincount(circles[0]) > 1):
-        members = circles[0] == number
+    size = np.bincount(rings[0])[rings[0]]
+    for number in np.flatnonzero(np.bincount(rings[0]) > 1):
+        members = rings[0] == number
         n = int(members.sum())
         whitened[members] = (whitened[members] - whitened[members].mean(axis=0)) * np.sqrt(n / (n - 1))
     return OwnNoise(whitened, root, group, size > 1)
 
 
-#: by which, and so many standard deviations of its noise, a sensor comes back once it reversed
-TURNED_RAD: Final = 2e-3
-TURNED_STD: Final = 6.0
+#: change, also in standard deviations of its noise, by which a steering sensor has reversed
+MIN_REVERSAL_RAD: Final = 2e-3
+MIN_REVERSAL_STD: Final = 6.0
 
 
 def true_angles(read: FloatArray, time_s: FloatArray, last: IntArray, world: World) -> FloatArray:
@@ -84,7 +84,7 @@ def _side(angle: FloatArray, last: IntArray) -> FloatArray:
     side = np.zeros_like(angle)
     bent = [np.abs(np.diff(angle[: end + 1, unit], 2)) for unit, end in enumerate(last)]
     noise = 1.4826 * float(np.median(np.concatenate(bent))) / np.sqrt(6.0) if any(map(len, bent)) else 0.0
-    least = max(TURNED_RAD, TURNED_STD * noise)
+    least = max(MIN_REVERSAL_RAD, MIN_REVERSAL_STD * noise)
     low, high = angle[0].copy(), angle[0].copy()
     now = np.zeros(angle.shape[1])
     for step, here in enumerate(angle):
@@ -98,11 +98,11 @@ def _side(angle: FloatArray, last: IntArray) -> FloatArray:
     return side
 
 
-#: before the speed is differentiated: counters come in whole steps
+#: span over which a speed is smoothed before it is differentiated, also in steps
 SMOOTH_S, MOST_STEPS = 0.5, 50
-STRAIGHT_RAD: Final = 0.5
+MAX_STRAIGHT_TURN_RAD: Final = 0.5
 ZERO_WHERE_UNKNOWN: Final = ("payload_kg", "payload_x_m", "payload_y_m", "minutes_under_load")
-#: what the log gives of a moment
+#: fields of `Moment` that the log gives
 LOGGED: Final = ("v_mps", "acceleration_mps2", "curvature_per_m", "angle_left_rad", "angle_right_rad")
 
 Act = Callable[[World], None]
@@ -116,7 +116,7 @@ def _design(observations: Observations) -> Design:
         known = values[np.isfinite(values)]
         return np.where(np.isfinite(values), values, known.mean() if len(known) else 0.0)
 
-    straight = observations.total(np.abs(observations.turn_rad)) < STRAIGHT_RAD
+    straight = observations.total(np.abs(observations.turn_rad)) < MAX_STRAIGHT_TURN_RAD
     names = np.array([f"{'corridor' if s else 'route'}_{k}" for s, k in zip(straight, observations.kind, strict=True)])
     speed = number("speed_mps")
     if not speed.any():
@@ -196,7 +196,7 @@ class Replay:
     def readings(self, act: Act | None, *, level: bool = False) -> FloatArray:
         """Return distance, x, y, heading, path and turn as read at each unit's end, (n_units, 6).
 
-        `level` takes out the radii's mean change, which a calibration takes up.
+        `level` removes the mean change of the radii, as a calibration does.
         """
         world = _world(self.observations, self.design)
         if act is not None:
@@ -235,7 +235,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray, FloatArra
         turn = (right - left) / (track_m * (1.0 + now.track)) + now.yaw_radps * duration
         if angles is not None:
             ahead, curve = _steered(replay, world, step, angles[step])
-            # of a wheel that slips more is counted than the vehicle moves
+            # a wheel that slips is counted further than the vehicle moves
             way, turn = way * ahead / (1.0 + now.drive), (turn * ahead + curve) / (1.0 + now.drive)
         middle = now.theta_rad + 0.5 * turn
         chord, drift = way * np.sinc(turn / (2 * np.pi)), now.lateral_mps * duration
@@ -250,7 +250,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray, FloatArra
 
 
 def _seen(replay: Replay, poses: FloatArray, end: Moment, late_s: FloatArray) -> FloatArray:
-    """Return the pose of each unit so long before its end, shape (3, n_units)."""
+    """Return each unit's pose at `late_s` before its end, shape (3, n_units)."""
     from scipy.interpolate import PchipInterpolator
 
     way_m, theta = late_s * end.v_mps, end.theta_rad
@@ -291,23 +291,23 @@ SizedAct = Callable[[World, float], None]
 #: outside cause -> size at which it is tried first
 OUTSIDERS: Final = {"interaction": 1e-3, "one_speed": 2e-3, "left_turns": 1e-2, "unlogged": 1e-3}
 
-#: columns of this correlation are one
-ALIKE: Final = 0.9
+#: largest correlation of two columns that vary apart
+MAX_CORRELATION: Final = 0.9
 #: width of the resonance over its speed
-NARROW: Final = 0.1
-#: left turns tighter than this count
-TIGHT_PER_M: Final = 0.05
+RESONANCE_WIDTH: Final = 0.1
+#: smallest curvature of a left turn that counts
+MIN_CURVATURE_PER_M: Final = 0.05
 
 
 def outsiders(replay: Replay, rng: np.random.Generator) -> dict[str, SizedAct | str]:
     """Return each outside cause, or why this campaign cannot have it."""
-    columns = _two_columns(replay)
+    columns = _uncorrelated_columns(replay)
     speeds = np.unique(np.round(replay.design.speed_mps, 2))
     condition = replay.observations.condition
     n_repeated = int((np.bincount(condition) > 1).sum())
     drawn = rng.standard_normal((2, int(condition.max()) + 1))
     turns_left = bool((replay.observations.turn_rad > 0).any())
-    crossed = None if columns is None else _on_both_radii(_standard(columns[0]) * _standard(columns[1]))
+    crossed = None if columns is None else _on_both_radii(_standardised(columns[0]) * _standardised(columns[1]))
     return {
         "interaction": crossed or "no two columns vary apart",
         "one_speed": "all runs have one speed" if len(speeds) < 2 else _one_speed(float(speeds[len(speeds) // 2])),
@@ -320,34 +320,36 @@ def _on_both_radii(share: FloatArray) -> SizedAct:
     return lambda world, size: world.enlarge(size * share)
 
 
-def _standard(values: FloatArray) -> FloatArray:
+def _standardised(values: FloatArray) -> FloatArray:
     return standardised(np.where(np.isfinite(values), values, np.nanmean(values)))
 
 
 def by_column(values: FloatArray) -> SizedAct:
     """Return what makes both radii larger by a column (n_units,), in standard deviations."""
-    return _on_both_radii(_standard(values))
+    return _on_both_radii(_standardised(values))
 
 
-def _two_columns(replay: Replay) -> tuple[FloatArray, FloatArray] | None:
+def _uncorrelated_columns(replay: Replay) -> tuple[FloatArray, FloatArray] | None:
     design, observations = replay.design, replay.observations
     order = np.arange(len(observations), dtype=np.float64)
     driven = (design.temperature_C, design.speed_mps, design.minutes_under_load)
     candidates = (observations.number("load_left_N"), *driven, observations.length_m, order)
     varying = [v for v in candidates if np.isfinite(v).all() and np.std(v) > 1e-6 * (1e-3 + np.abs(np.mean(v)))]
-    return next((pair for pair in combinations(varying, 2) if abs(float(np.corrcoef(*pair)[0, 1])) < ALIKE), None)
+    return next(
+        (pair for pair in combinations(varying, 2) if abs(float(np.corrcoef(*pair)[0, 1])) < MAX_CORRELATION), None
+    )
 
 
 def _one_speed(at_mps: float) -> SizedAct:
     def during(size: float, now: Moment) -> None:
-        now.roll_more(size * np.exp(-(((np.abs(now.v_mps) - at_mps) / (NARROW * at_mps)) ** 2)))
+        now.roll_more(size * np.exp(-(((np.abs(now.v_mps) - at_mps) / (RESONANCE_WIDTH * at_mps)) ** 2)))
 
     return lambda world, size: world.during.append(partial(during, size))
 
 
 def _left_turns(world: World, size: float) -> None:
     def during(now: Moment) -> None:
-        now.track += size * (now.curvature_per_m * np.sign(now.v_mps) > TIGHT_PER_M)
+        now.track += size * (now.curvature_per_m * np.sign(now.v_mps) > MIN_CURVATURE_PER_M)
 
     world.during.append(during)
 

@@ -1,4 +1,4 @@
-"""What this lab's data would find, and how often wrongly: known effects and outside causes planted and diagnosed."""
+"""Detection and false alarms on a lab's own data: known effects and outside causes are planted and diagnosed."""
 
 import re
 import time
@@ -31,13 +31,13 @@ NOT_PLANTED: Final = {
     "integration_scheme": "it is in the simulator, not in the vehicle",
     "path_weave": "it needs runs without logs",
 }
-#: share left beside a recalibration, below which an effect cannot be asked for
+#: share of an effect's signal that a recalibration leaves, below which it is not planted
 ABSORBED: Final = 0.02
-#: what calibrates a front wheel that alone drives the odometry
+#: effects that calibrate a front wheel that alone drives the odometry
 STEERED: Final = ("steering_zero", "steering_scale")
-#: what only the front wheel shows
+#: effects that only the front wheel shows
 OF_THE_FRONT: Final = (*STEERED, "steering_backlash", "steering_delay", "drive_slip")
-#: of the path and of the heading: a larger change is no small effect
+#: largest change of an end by a planted effect: share of the path, and heading
 LARGEST_SHARE, LARGEST_RAD = 0.2, 1.0
 _SIZE: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*([sx]?)\s*")
 _RELATIVE_STEP: Final = 1e-4
@@ -136,6 +136,7 @@ def _planted(form: Form, knobs: dict[str, float], world: World, size: float) -> 
 
 
 def _absorbed(diagnosis: Diagnosis, replay: Replay) -> FloatArray:
+    # changes of the readings that a recalibration removes: radii and track, (n_units, 6, 3)
 
     def of(name: str) -> FloatArray:
         enlarged, size = scaled(name), np.full(len(replay.design), _RELATIVE_STEP)
@@ -287,9 +288,9 @@ def challenge_own(
     workers
         Processes of this machine.
     seconds
-        Then no further diagnosis begins.
+        After which no further diagnosis begins.
     seed, progress
-        Of all that is drawn; told the diagnoses done.
+        Of all draws; called with the diagnoses done.
     """
     began = time.monotonic()
     diagnosis = diagnose_in_full(campaign, seed=seed, plan=False)

@@ -203,12 +203,12 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
     }
     by_signal: dict[str, dict[str, Share]] = {}
     for signal in sorted({case.signal for case in singles if case.signal is not None}):
-        some = [case for case in singles if case.signal == signal]
+        of_signal = [case for case in singles if case.signal == signal]
         by_signal[f"{signal:g}"] = {
-            "detected": share([case.verdict not in ("no_gap", "error", "missing") for case in some]),
-            "first": share([case.first for case in some]),
-            "in_group": share([case.first or case.in_group for case in some]),
-            "covered": share([bool(case.covered) for case in some]),
+            "detected": share([case.verdict not in ("no_gap", "error", "missing") for case in of_signal]),
+            "first": share([case.first for case in of_signal]),
+            "in_group": share([case.first or case.in_group for case in of_signal]),
+            "covered": share([bool(case.covered) for case in of_signal]),
         }
     return Score(
         purpose=purpose,

@@ -198,7 +198,7 @@ def effects(
     shown = {f"signature-{one.effect.id}": one.signature for one in entries if one.signature is not None}
     drawable = {name.replace(":", "-"): signature for name, signature in shown.items()}
     terminal.refuse_outputs(figures=figures, names=drawable)
-    from calib.reporting.topics.diagnosis import effect_content, effects_content
+    from calib.reporting.topics.runs import effect_content, effects_content
 
     terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
     terminal.draw(
@@ -240,7 +240,8 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None
     from calib.api.outputs import proposed
     from calib.campaign.read import read_campaign
     from calib.gap.plan.next_runs import read_candidates
-    from calib.reporting.topics.diagnosis import runs_and_promises, without_runs
+    from calib.reporting.topics.diagnosis import without_runs
+    from calib.reporting.topics.runs import runs_and_promises
 
     with terminal.progress("planning") as tick:
         read = read_campaign(campaign, progress=tick)
@@ -256,7 +257,7 @@ def _judge(source: Path, figures: Path | None) -> None:
     from calib.api.outputs import promised
     from calib.gap.plan import outlook_of
     from calib.gap.plan.next_runs import read_plan
-    from calib.reporting.topics.diagnosis import outlook_content, promise_table
+    from calib.reporting.topics.runs import outlook_content, promise_table
 
     terminal.refuse_outputs(figures=figures, names=["plan-matrix"])
     with terminal.progress("judging the plan") as tick:

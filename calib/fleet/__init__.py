@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import Any, Final
 from warnings import catch_warnings
 
@@ -13,16 +14,16 @@ from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats, grouped
 
 COVERAGE: Final = 0.95
-#: of named vehicles that may be wrong (Benjamini and Hochberg): each costs a visit
+#: false discovery rate of named vehicles (Benjamini and Hochberg): each costs a visit
 FALSE_SHARE: Final = 0.01
-#: chance that any of a short list is wrong (Holm)
+#: family-wise error rate of a short list (Holm)
 FALSE_CHANCE: Final = 0.01
 #: median of |z| of a standard normal
-MEDIAN_ABS: Final = 0.6744897501960817
-#: robust standard deviations beyond which a vehicle has no say in the fleet's mean and spread
-FAR: Final = 5.0
-#: values are drawn in to so many median deviations before labels are compared
-DRAWN_IN: Final = 4.0
+MEDIAN_ABS_NORMAL: Final = 0.6744897501960817
+#: robust standard deviations beyond which a vehicle is omitted from the fleet's mean and spread
+OUTLIER_SPREADS: Final = 5.0
+#: median deviations to which values are clipped before labels are compared
+CLIP_DEVIATIONS: Final = 4.0
 #: keeps quotients finite where all is equal
 SMALLEST_VARIANCE: Final = 1e-300
 
@@ -81,10 +82,10 @@ def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArra
     variance = std**2 + SMALLEST_VARIANCE
 
     def excess(spread: float) -> float:
-        return float(np.median(away / np.sqrt(spread**2 + variance))) - MEDIAN_ABS
+        return float(np.median(away / np.sqrt(spread**2 + variance))) - MEDIAN_ABS_NORMAL
 
-    spread = _root(excess, float(np.median(away)) / MEDIAN_ABS)
-    usual = away / np.sqrt(spread**2 + variance) < FAR
+    spread = _root(excess, float(np.median(away)) / MEDIAN_ABS_NORMAL)
+    usual = away / np.sqrt(spread**2 + variance) < OUTLIER_SPREADS
     fleet = population(values[usual], std[usual])
     if fleet is None:
         return np.zeros(len(values)), np.ones(len(values))
@@ -93,26 +94,26 @@ def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def false_discovery(p_values: FloatArray, share: float = FALSE_SHARE, method: str = "fdr_bh") -> BoolArray:
-    """Return which findings stand at a false discovery rate of `share`; NaN is no finding."""
+    """Return which findings are significant at a false discovery rate of `share`; NaN is no finding."""
     from statsmodels.stats.multitest import multipletests
 
     p = floats(p_values)
-    stands, known = np.zeros(p.shape, dtype=np.bool_), np.isfinite(p)
+    significant, known = np.zeros(p.shape, dtype=np.bool_), np.isfinite(p)
     if known.any():
-        stands[known] = multipletests(p[known], share, method)[0]
-    return stands
+        significant[known] = multipletests(p[known], share, method)[0]
+    return significant
 
 
-def any_false(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
-    """Return which findings stand at a family-wise error rate of `chance`; NaN is no finding."""
+def familywise(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
+    """Return which findings are significant at a family-wise error rate of `chance`; NaN is no finding."""
     return false_discovery(p_values, chance, "holm")
 
 
 def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return wheels' variances beside those of the fleet, and their degrees of freedom (Smyth 2004).
+    """Return wheels' variances shrunk towards the fleet's, and their degrees of freedom (Smyth 2004).
 
-    The inverse chi-squared of variances has degrees of freedom two standard errors low. None falls below its own: one
-    wheel's sessions may scatter as no other's.
+    The prior's degrees of freedom are two standard errors low, and no variance falls below its own: one wheel's
+    sessions may scatter as no other's.
     """
     n, half = len(dof), 0.5 * dof
     if n < 2 * FEWEST_COMPARED:
@@ -130,7 +131,7 @@ def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatA
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What a label's vehicles have more than the others."""
+    """Mean of a label's vehicles minus that of the others."""
 
     size: float
     ci95: tuple[float, float] = field(metadata={"json": "size_ci95"})
@@ -142,7 +143,7 @@ def difference_of(values: FloatArray, inside: BoolArray) -> Difference:
     """Compare the vehicles inside a label with the others by Welch's test."""
     from scipy.stats import ttest_ind
 
-    one, other = (_drawn_in(values[side]) for side in (inside, ~inside))
+    one, other = (_clipped(values[side]) for side in (inside, ~inside))
     with catch_warnings(action="ignore"):  # equal vehicles: NaN
         test = ttest_ind(one, other, equal_var=False)
         low, high = map(float, test.confidence_interval(COVERAGE))
@@ -151,9 +152,9 @@ def difference_of(values: FloatArray, inside: BoolArray) -> Difference:
     return Difference(size, (low, high), float(test.pvalue), int((np.sign(size) * away > 0.5 * abs(size)).sum()))
 
 
-def _drawn_in(values: FloatArray) -> FloatArray:
+def _clipped(values: FloatArray) -> FloatArray:
     median = float(np.median(values))
-    width = DRAWN_IN * max(float(np.median(np.abs(values - median))), SMALLEST_VARIANCE)
+    width = CLIP_DEVIATIONS * max(float(np.median(np.abs(values - median))), SMALLEST_VARIANCE)
     return np.clip(values, median - width, median + width)
 
 
@@ -193,7 +194,7 @@ class Outlier:
 
     @property
     def why(self) -> str:
-        """What a person reads."""
+        """The sentence for people."""
         name, scale, unit = shown_quantity(self.quantity)
         value, away = f"{scale * self.value:.6g} {unit}", f"{scale * (self.value - self.fleet):+.3g} {unit}"
         value, away = value.rstrip(), f"{away.rstrip()} from the fleet's mean"
@@ -222,7 +223,7 @@ class LabelDifference:
 
     @property
     def sentence(self) -> str:
-        """What a person reads."""
+        """The sentence for people."""
         return f"{self.difference.n_showing} of {self.n_vehicles} vehicles with {self.label} {self.value}: {self.what}"
 
     def to_dict(self) -> dict[str, object]:
@@ -252,7 +253,7 @@ def quantities_of(
     own = {name: column.copy() for name, column in values.items()}
     for cause, inside in common:
         own[cause.quantity][inside] -= cause.difference.size
-    apart = _apart(vehicles, {name: own[name] for name in compared}, values, std)
+    apart = _outliers_of(vehicles, {name: own[name] for name in compared}, values, std)
     usual = ~np.isin(vehicles, [*(outlier.vehicle for outlier in apart), *drifting])
     populations = {}
     for name, column in own.items():
@@ -272,28 +273,29 @@ def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, st
 
 
 def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> list[tuple[LabelDifference, BoolArray]]:
-    # the clearest first: beside a label that is off all others are off the other way
-    left, having, kept = {name: column.copy() for name, column in values.items()}, [*_labelled(vehicles, labels)], []
-    for _ in range(len(having) * len(left)):
+    # stepwise, the most significant first: beside a label that differs all others seem to differ the other way
+    residual, labelled = {name: column.copy() for name, column in values.items()}, [*_labelled(vehicles, labels)]
+    found = []
+    for _ in range(len(labelled) * len(residual)):
         candidates = []
-        for label, value, with_label in having:
-            for name, column in left.items():
+        for label, value, with_label in labelled:
+            for name, column in residual.items():
                 known = np.isfinite(column)
                 inside = with_label[known]
-                if FEWEST_COMPARED <= inside.sum() <= (~inside).sum():  # what the larger part shares is the fleet's own
+                if FEWEST_COMPARED <= inside.sum() <= (~inside).sum():  # the larger part is the fleet itself
                     difference = difference_of(column[known], inside)
                     candidates.append((LabelDifference(label, value, name, int(inside.sum()), difference), with_label))
-        stands = any_false(np.array([one.difference.p_value for one, _ in candidates]))
-        if not (further := [one for one, stand in zip(candidates, stands, strict=True) if stand]):
+        significant = familywise(np.array([one.difference.p_value for one, _ in candidates]))
+        if not (further := [*compress(candidates, significant)]):
             break
         clearest, inside = min(further, key=lambda one: (one[0].difference.p_value, one[0].value, one[0].quantity))
-        left[clearest.quantity][inside] -= clearest.difference.size
-        kept.append((clearest, inside))
-    return kept
+        residual[clearest.quantity][inside] -= clearest.difference.size
+        found.append((clearest, inside))
+    return found
 
 
-def _apart(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns) -> tuple[Outlier, ...]:
-    # `Outlier.fleet` holds what labels shift, without the mean
+def _outliers_of(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns) -> tuple[Outlier, ...]:
+    # `Outlier.fleet` holds the shift by labels; the mean is added later
     names = list(own)
     z, p_value = np.zeros((len(vehicles), len(names))), np.full((len(vehicles), len(names)), np.nan)
     for k, name in enumerate(names):
@@ -330,7 +332,7 @@ class SharedCause:
 
     @property
     def sentence(self) -> str:
-        """What a person reads."""
+        """The sentence for people."""
         whose = f"vehicles with {self.label} {self.value}" if self.label else "vehicles"
         return f"{self.n_showing} of {self.n_vehicles} {whose}: {self.what}"
 
@@ -351,8 +353,7 @@ def shared_causes(records: Sequence[VehicleResult], labels: Labels) -> tuple[Sha
     for what, _ in sorted(often):
         shows = np.array([what in found for found in findings])
         by_label += [_compared(what, *having, shows) for having in _labelled(names, labels)]
-    stands = false_discovery(np.array([cause.p_value for cause in by_label]))
-    special = [cause for cause, stand in zip(by_label, stands, strict=True) if stand]
+    special = compress(by_label, false_discovery(np.array([cause.p_value for cause in by_label])))
     return (*whole, *sorted(special, key=lambda cause: (cause.p_value, cause.what, cause.value)))
 
 

@@ -192,7 +192,7 @@ def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
     lines = drifts_of(fitted)
     p = np.array([2.0 * stdtr(drift.dof, -abs(drift.per_day_m) / drift.std_m) for _, _, drift in lines])
     drifting: dict[str, DriftingVehicle] = {}
-    for (record, side, drift), stands in zip(lines, fleet.any_false(p), strict=True):
+    for (record, side, drift), stands in zip(lines, fleet.familywise(p), strict=True):
         if not stands:
             continue
         due = drift.last_day + DUE_RELATIVE * getattr(record, side).radius_ref_m / abs(drift.per_day_m)

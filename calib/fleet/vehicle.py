@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.radius import MIN_DOF, WIDENED_BELOW, line_of_strata, rho_at
-from calib.radius.effective import SystematicSource, gradient
+from calib.radius import RHO_BELOW_P, RHO_MIN_DOF, line_of_strata, rho_of
+from calib.radius.effective import SystematicSource, systematic_shift
 from calib.radius.law import LineEstimate
 from calib.radius.regression import SAME_LOAD
 from calib.types import FloatArray, StrArray
@@ -140,8 +140,8 @@ def _line(side: str, sums: "WheelSums", part: PartSums) -> WheelLine | None:
     radius, slope = part.radius_m + float(estimate.coefficients[0]), float(estimate.coefficients[1])
     n, x, y, xx, xy = sums.table[:, :5].sum(axis=0)
     of_radius = _least_squares(n, x, y + n * part.radius_m, xx, xy + x * part.radius_m)
-    along = (of_radius, _least_squares(n, x, sums.whole[6], xx, sums.whole[7]))
-    rows = [gradient(one, side, part.reference_load_N, slope, *along) for one in part.sources]
+    lines = (of_radius, _least_squares(n, x, sums.whole[6], xx, sums.whole[7]))
+    rows = [systematic_shift(one, side, part.reference_load_N, slope, *lines) for one in part.sources]
     dof = np.array([one.dof for one in part.sources])
     estimate = replace(
         estimate, coefficients=np.array([radius, slope]), systematic=np.array(rows).reshape(-1, 2), systematic_dof=dof
@@ -262,9 +262,9 @@ def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, floa
         return estimate, 0.0
     product, dof, _ = blocks.expected(0.0)
     std = blocks.std
-    if dof < MIN_DOF or float(ndtr((product / dof - blocks.lag_one) / std)) >= WIDENED_BELOW:
+    if dof < RHO_MIN_DOF or float(ndtr((product / dof - blocks.lag_one) / std)) >= RHO_BELOW_P:
         return estimate, 0.0
-    rho = rho_at(blocks.lag_one + std, lambda rho: np.divide(*blocks.expected(rho)[:2]))
+    rho = rho_of(blocks.lag_one + std, lambda rho: np.divide(*blocks.expected(rho)[:2]))
     _, square, squared = blocks.expected(rho)
     of_slope = blocks.loads_ratio(rho) * dof / square
     scale = np.full(2, of_slope)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from calib.campaign.checks import SIDES
-from calib.campaign.checks.measurements import off
+from calib.campaign.checks.measurements import implausible_ratio
 from calib.documents import Result, plain
 from calib.errors import DRAWN_PIECES, DRAWS, SIMULATED_POSES, BadInputError, refuse_more
 from calib.odometry.law_path import BANDS, AxleLaw, Journey, LawPath, law_journey, law_path
@@ -335,7 +335,7 @@ def _hold_radii(law: RadiusLaw, loads_N: Sequence[tuple[float, float]]) -> None:
     for pair in loads_N:
         for side, wheel, load in zip(SIDES, (law.left, law.right), pair, strict=True):
             radius = float(wheel.radius_m(load))
-            if off(radius / float(wheel.radius_m(wheel.reference_load_N))):
+            if implausible_ratio(radius / float(wheel.radius_m(wheel.reference_load_N))):
                 raise BadInputError(
                     f"load of the {side} wheel: found {load:g} N, where the law gives a radius of {radius:g} m; "
                     f"expected a load nearer to the {wheel.load_min_N:g} to {wheel.load_max_N:g} N where it holds"

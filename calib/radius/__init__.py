@@ -17,18 +17,17 @@ from scipy.special import ndtr, stdtr, stdtrit
 from calib.radius.law import LineEstimate
 from calib.types import FloatArray, IntArray, StrArray, floats
 
-#: session over run variance for which strata are weighted; affects efficiency alone: the variances are estimated
-#: afterwards
+#: session over run variance that the weights of sessions assume; the estimated variances make up for an error
 WORKING_RATIO: Final = 1.0
-#: of the information on the slope, below which a stratum is not used
+#: a stratum with a smaller share of the information on the slope is not used
 NEGLIGIBLE_SHARE: Final = 0.01
 #: Breusch-Pagan p-value below which the covariance is the heteroscedasticity-consistent HC3, and the degrees of freedom
 #: that it needs
 HC3_BELOW: Final = 0.01
 HC3_MIN_DOF: Final = 4
-#: leverage is kept so far below one in HC3
+#: least 1 - leverage in HC3
 HC3_MIN_SLACK: Final = 0.05
-#: one less the leverage of a run that the design fits exactly: rounding
+#: 1 - leverage of a run that the design fits exactly: rounding
 FITTED_EXACTLY: Final = 1e-9
 
 
@@ -81,6 +80,11 @@ def breusch_pagan(residual: FloatArray, x: FloatArray) -> tuple[float, float]:
     return float(statistic), float(p_value)
 
 
+def needs_hc3(residual: FloatArray, x: FloatArray, dof: float) -> bool:
+    """Return whether the scatter of residuals clearly depends on `x`, with enough degrees of freedom for HC3."""
+    return dof >= HC3_MIN_DOF and breusch_pagan(residual, x)[1] < HC3_BELOW
+
+
 def line_of_strata(
     sizes: FloatArray,
     x_mean: FloatArray,
@@ -123,7 +127,7 @@ def line_of_strata(
     weight_within = 1.0 if only_within else 0.0 if only_between else info / (info + info_between)
     run_variance = (square if only_between else residual_square) / dof_within
     mean_radius = float(weight @ y_mean / weight.sum())
-    # slope between sessions; within sessions alone the means only scatter about the slope from there
+    # slope between sessions; where it comes from within them, their means scatter about that
     between = slope_within if only_within else float(weight @ (centred * (y_mean - mean_radius))) / info_between
     slope = weight_within * slope_within + (1 - weight_within) * between if weight_within else between
     departures = y_mean - mean_radius - between * centred
@@ -148,9 +152,7 @@ def stratified_line(x: FloatArray, y: FloatArray, groups: Groups) -> LineEstimat
     residual = y_within - slope * x_within
     squares = float(y_within @ y_within), float(residual @ residual)
     estimate = line_of_strata(groups.sizes, groups.means(x), groups.means(y), info, slope, *squares)
-    if estimate is None or estimate.design == "confounded" or estimate.dof_within < HC3_MIN_DOF:
-        return estimate
-    if breusch_pagan(residual, x)[1] >= HC3_BELOW:
+    if estimate is None or estimate.design == "confounded" or not needs_hc3(residual, x, estimate.dof_within):
         return estimate
     # statsmodels has no HC3 here: a run's leverage holds its share of the session's mean, too
     leverage = 1.0 / groups.sizes[groups.index] + x_within**2 / info
@@ -168,8 +170,8 @@ def _with_sessions(
     dof: tuple[float, float],
     run_variance: float,
 ) -> LineEstimate:
-    # per_square: covariance between sessions by the mean square of their means about the law; where few agree by chance
-    # an interval is as wide as by the runs alone
+    # per_square: covariance between sessions over the mean square of their means about the law, which is raised where
+    # few agree by chance: no interval is narrower than by the runs alone
     weight, explained = 1.0 / (WORKING_RATIO + 1.0 / sizes), run_variance * float(np.mean(1.0 / sizes))
     of_runs, of_sessions = stdtrit(dof, 0.975).tolist()
     least = explained * float(weight.mean()) * (of_runs / of_sessions) ** 2
@@ -195,48 +197,50 @@ def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
     return _with_sessions("constant", constant, none, per_square, mean - value, groups.sizes, dof, run_variance)
 
 
-#: to show an autocorrelation
-MIN_DOF: Final = 6
-#: p-value below which intervals are widened, which costs little
-WIDENED_BELOW: Final = 0.05
-#: beyond it a mean of runs says nothing of its own scatter
-LARGEST: Final = 0.95
-#: of the autocorrelation
-PRECISION: Final = 0.01
+#: fewest degrees of freedom that an autocorrelation is tested with
+RHO_MIN_DOF: Final = 6
+#: p-value below which intervals allow for it: wider ones cost little
+RHO_BELOW_P: Final = 0.05
+#: largest autocorrelation; beyond, runs say nothing of the scatter of their mean
+MAX_RHO: Final = 0.95
+RHO_PRECISION: Final = 0.01
 
 
 @dataclass(frozen=True, slots=True)
 class Autocorrelation:
     """Autocorrelation of runs that follow each other."""
 
-    #: of one run and the next, freed of bias, plus a standard deviation: too small a one leaves intervals too narrow; 0
-    #: where none is significant
+    #: of one run and the next: bias-corrected, plus one standard deviation, so that no interval is too narrow; 0 where
+    #: not significant
     rho: float
-    #: of the residuals as it stands, and the probability of a larger one by chance
+    #: lag-one autocorrelation of the residuals, and its p-value
     lag_one: float
     p_value: float
-    #: widening of the slope's interval
+    #: factor that widens the slope's interval
     slope_ratio: float = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Series:
     residual: FloatArray
-    fitted: FloatArray
-    #: 1 where a run begins a block, shape (n_runs,)
+    #: orthonormal columns that the residuals are free of, shape (n_runs, k)
+    basis: FloatArray
+    #: 1 where a run begins a session, shape (n_runs,); runs of different ones are uncorrelated
     begins: FloatArray
 
     @property
     def dof(self) -> float:
-        return float(len(self.residual) - self.fitted.shape[1])
+        return float(len(self.residual) - self.basis.shape[1])
 
     def neighbours(self, columns: FloatArray) -> FloatArray:
+        # half the sum of the run before and the run after, within a session
         half, product = 0.5 * (1.0 - self.begins[1:])[:, None], np.zeros_like(columns)
         product[1:] += half * columns[:-1]
         product[:-1] += half * columns[1:]
         return product
 
     def correlated(self, columns: FloatArray, rho: float) -> FloatArray:
+        # the AR(1) correlation matrix, rho^|i - j| within a session, times the columns
         from scipy.signal import lfilter
 
         product = np.empty_like(columns)
@@ -247,39 +251,41 @@ class _Series:
         return product
 
     def expected_lag_one(self, rho: float) -> float:
-        own, pairs = self.fitted, len(self.residual) - self.begins.sum()
-        beside, turned = self.neighbours(own), self.correlated(own, rho)
-        cross = own.T @ turned
-        product = rho * pairs - 2.0 * float(np.sum(beside * turned)) + float(np.sum((own.T @ beside) * cross))
+        basis, pairs = self.basis, len(self.residual) - self.begins.sum()
+        neighbours, correlated = self.neighbours(basis), self.correlated(basis, rho)
+        cross = basis.T @ correlated
+        product = rho * pairs - 2.0 * float(np.sum(neighbours * correlated))
+        product += float(np.sum((basis.T @ neighbours) * cross))
         return float(product / (len(self.residual) - float(np.trace(cross))))
 
     def if_independent(self) -> tuple[float, float]:
-        own, pairs, dof = self.fitted, len(self.residual) - self.begins.sum(), self.dof
-        beside = self.neighbours(own)
-        inner = own.T @ beside
+        # mean and standard deviation of the lag-one autocorrelation of independent runs
+        pairs, dof = len(self.residual) - self.begins.sum(), self.dof
+        neighbours = self.neighbours(self.basis)
+        inner = self.basis.T @ neighbours
         trace = -float(np.trace(inner))
-        squares = 0.5 * pairs - 2.0 * float(np.sum(beside**2)) + float(np.sum(inner**2))
+        squares = 0.5 * pairs - 2.0 * float(np.sum(neighbours**2)) + float(np.sum(inner**2))
         variance = 2.0 * (dof * squares - trace**2) / (dof**2 * (dof + 2.0))
         return trace / dof, float(np.sqrt(max(variance, 1e-12)))
 
 
 def autocorrelation(series: _Series) -> Autocorrelation:
-    """Return residuals' autocorrelation in the order driven, where significant plus one sd."""
+    """Return the residuals' autocorrelation in the order driven."""
     square = float(series.residual @ series.residual)
-    if series.dof < MIN_DOF or not square > 0.0:
+    if series.dof < RHO_MIN_DOF or not square > 0.0:
         return Autocorrelation(0.0, 0.0, 1.0)
     lag_one = float(series.residual @ series.neighbours(series.residual[:, None])[:, 0]) / square
     mean, sd = series.if_independent()
     p_value = float(ndtr((mean - lag_one) / sd))
-    if p_value >= WIDENED_BELOW:
+    if p_value >= RHO_BELOW_P:
         return Autocorrelation(0.0, lag_one, p_value)
-    return Autocorrelation(rho_at(lag_one + sd, series.expected_lag_one), lag_one, p_value)
+    return Autocorrelation(rho_of(lag_one + sd, series.expected_lag_one), lag_one, p_value)
 
 
-def rho_at(lag_one: float, expected: Callable[[float], float]) -> float:
-    """Return the least autocorrelation, to `PRECISION`, whose expected lag one is not below."""
-    low, high = 0.0, LARGEST
-    while high - low > PRECISION:
+def rho_of(lag_one: float, expected: Callable[[float], float]) -> float:
+    """Return the least autocorrelation, to `RHO_PRECISION`, whose `expected` lag-one value reaches `lag_one`."""
+    low, high = 0.0, MAX_RHO
+    while high - low > RHO_PRECISION:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if expected(middle) < lag_one else (low, middle)
     return high
@@ -297,39 +303,40 @@ def widened(
     by_session = estimate.dof_between > 0
     means = np.eye(len(groups))[groups.index] if by_session else np.ones((n, 1))
     columns = means if load_N is None or estimate.design == "confounded" else np.column_stack((means, load_N))
-    fitted = np.linalg.qr(columns)[0]
+    basis = np.linalg.qr(columns)[0]
     begins = np.ones(n)
     begins[1:] = (np.diff(groups.index) != 0) if by_session else 0.0
-    series = _Series(radius_m - fitted @ (fitted.T @ radius_m), fitted, begins)
-    found = autocorrelation(series)
-    if found.rho == 0.0:
-        return estimate, found
-    turned = series.correlated(fitted, found.rho)
-    cross = fitted.T @ turned
+    series = _Series(radius_m - basis @ (basis.T @ radius_m), basis, begins)
+    order = autocorrelation(series)
+    if order.rho == 0.0:
+        return estimate, order
+    correlated = series.correlated(basis, order.rho)
+    cross = basis.T @ correlated
+    # expected residual squares over a run's variance, and their degrees of freedom (Satterthwaite)
     expected = n - float(np.trace(cross))
-    square = float(series.correlated(np.ones((n, 1)), found.rho**2).sum())
-    dof = expected**2 / max(square - 2.0 * float(np.sum(turned**2)) + float(np.sum(cross**2)), 1.0)
+    square = float(series.correlated(np.ones((n, 1)), order.rho**2).sum())
+    dof = expected**2 / max(square - 2.0 * float(np.sum(correlated**2)) + float(np.sum(cross**2)), 1.0)
     # variance of each coefficient over that of independent runs
     solve = np.linalg.pinv(columns)
-    spread = solve @ series.correlated(np.ascontiguousarray(solve.T), found.rho)
+    spread = solve @ series.correlated(np.ascontiguousarray(solve.T), order.rho)
     ratio = np.diag(spread) / np.diag(solve @ solve.T) * series.dof / expected
     scale = np.sqrt(np.array([ratio[0], ratio[-1]]))
     if by_session:
-        # of the runs' stratum the slope alone is taken; sessions stand for the mean
+        # within sessions only the slope is estimated; the mean comes from between them
         scale = np.full(2, scale[1])
     factor = np.maximum(scale, 1.0)
     wider = estimate.cov_within * np.outer(factor, factor)
     estimate = replace(estimate, cov_within=wider, dof_within=min(estimate.dof_within, max(dof, 1.0)))
-    return estimate, replace(found, slope_ratio=float(factor[1]))
+    return estimate, replace(order, slope_ratio=float(factor[1]))
 
 
-def standing_out(basis: FloatArray, residual: FloatArray, most: int) -> list[tuple[int, float, float]]:
-    """Return the runs that stand out most, each omitted before the next: run, studentised residual, its probability.
+def outliers(basis: FloatArray, residual: FloatArray, most: int) -> list[tuple[int, float, float]]:
+    """Return the `most` extreme runs, each omitted before the next: run, studentised residual, p-value.
 
-    See Rosner, Technometrics 25 (1983) 165. `basis`: orthonormal columns of the design, (n_runs, k); `residual`: what
-    it leaves, (n_runs,); `most`: runs.
+    Generalised ESD test (Rosner, Technometrics 25 (1983) 165). `basis`: orthonormal columns of the design, (n_runs, k);
+    `residual`: about it, (n_runs,).
     """
-    residual, slack, found = residual.copy(), 1.0 - np.sum(basis**2, axis=1), []
+    residual, slack, extremes = residual.copy(), 1.0 - np.sum(basis**2, axis=1), []
     squares = float(residual @ residual)
     for dof in range(len(residual) - basis.shape[1] - 1, 1, -1)[:most]:
         free, left = slack > FITTED_EXACTLY, float(residual @ residual)
@@ -338,20 +345,20 @@ def standing_out(basis: FloatArray, residual: FloatArray, most: int) -> list[tup
         size = np.zeros_like(residual)
         size[free] = np.abs(residual[free]) / np.sqrt(others * slack[free])
         worst = int(np.argmax(size))
-        found.append((worst, float(size[worst]), min(float(2 * free.sum() * stdtr(dof, -size[worst])), 1.0)))
+        extremes.append((worst, float(size[worst]), min(float(2 * free.sum() * stdtr(dof, -size[worst])), 1.0)))
         column = (np.arange(len(residual)) == worst) - basis @ basis[worst]
         column /= np.sqrt(np.maximum(slack[worst], FITTED_EXACTLY))
         residual, slack = residual - column * (column @ residual), slack - column**2
         basis = np.column_stack((basis, column))
-    return found
+    return extremes
 
 
-def moved_by(
+def deletion_effect(
     line: FloatArray, basis: FloatArray, residual: FloatArray, out: list[int]
 ) -> tuple[FloatArray, float, int]:
-    """Return how far runs `out` lie off the others, the squares of their change of the line over a variance, its dof.
+    """Return how far runs `out` lie off the others, their squared change of the line over a run's variance, its dof.
 
-    `line`: columns of the line itself, (n_runs, 1 or 2); for the rest see `standing_out`.
+    `line`: columns of the line itself, (n_runs, 1 or 2); see `outliers`.
     """
     n, alone = len(residual), np.equal.outer(np.arange(len(residual)), out).astype(np.float64)
     design = np.column_stack((basis, alone))

@@ -6,31 +6,32 @@ from typing import Final
 import numpy as np
 from scipy.special import fdtrc, stdtr, stdtrit
 
-from calib.campaign.checks import HIDING, along_load, partial_slope, way
-from calib.radius import Groups, breusch_pagan, groups_of, moved_by, standing_out
+from calib.campaign.checks import MAX_LOAD_R2, covariate_against_load, direction_sign, partial_slope
+from calib.radius import Groups, breusch_pagan, deletion_effect, groups_of, outliers
 from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
 from calib.types import FloatArray, StrArray, few_digits
 
-#: p-values below which a check gives a note, and the law should not be used: with some nine checks a wheel 5 % would
-#: give a false note in every third campaign
+#: p-values below which a check gives a note, and fails: with nine checks a wheel 5 % would give a false note in every
+#: third campaign
 NOTE_BELOW: Final = 0.01
 FAIL_BELOW: Final = 1e-4
 UM: Final = 1e6
-#: a slope's interval widened more rests on a roughly known correlation: with 0.8, loads ascending, it holds the truth
-#: in 84 to 89 % instead of 95 %
+#: largest widening of a slope's interval by autocorrelation that passes: at a correlation of 0.8 and ascending loads it
+#: covers 84 to 89 % instead of 95 %
 MAX_SLOPE_WIDENING: Final = 1.25
-#: of more sessions none is omitted: too many to carry the slope alone
+#: with more sessions none can carry the slope alone
 MAX_INFLUENCE_SESSIONS: Final = 100
-#: loads of sessions tried as misreported; largest share of the squares that the others then leave
+#: most pairs of session and load tried as misreported; share of the residual squares that may remain without them
 MAX_CELLS: Final = 200
-MOST_OF_SQUARES: Final = 0.1
-#: runs tried as outliers, of a fifth of all at most: Rosner's approximation was tried for ten
-MOST_OUTLIERS: Final = 10
-#: of the direction's squares, that the load leaves: below, a variance inflation above ten (Kutner et al., 10.5)
+MAX_SQUARES_LEFT: Final = 0.1
+#: most runs tried as outliers, or a fifth of all: Rosner's approximation was tested up to ten
+MAX_OUTLIERS: Final = 10
+#: share of the direction's variance that the load does not explain: below, its variance inflation is above ten (Kutner
+#: et al., 10.5)
 ALIASED, ROUNDING = 0.1, 1e-9
 #: share of the load range by which the reference load may lie outside it
 REFERENCE_MARGIN: Final = 0.02
-#: for which the test approximates its p-value
+#: numbers of runs for which the p-value of the test is valid
 SHAPIRO_RUNS: Final = (8, 5000)
 
 
@@ -74,7 +75,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
     if runs.fit.design == "confounded":
         return None
     y = runs.fit.residual_m * UM
-    line = runs.fit.fitted(runs.session)
+    line = runs.fit.design_basis(runs.session)
     reduced, rank_reduced = _squares(line, y)
     full, rank_full = _squares(np.column_stack((line, np.eye(levels)[group])), y)
     dof_levels, dof = rank_full - rank_reduced, n - rank_full
@@ -83,16 +84,17 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
         return Check("lack_of_fit", NOTE, few)
     statistic = (reduced - full) / dof_levels / (full / dof)
     p_value = float(fdtrc(dof_levels, dof, max(statistic, 0.0)))
-    found = _with_other_load(runs, several=True) if p_value < NOTE_BELOW else ""
+    hint = _with_other_load(runs, several=True) if p_value < NOTE_BELOW else ""
     sentences = (
         "The straight line fits as well as the repeats at each load allow.",
         "The mean radii at the loads miss the straight line by more than repeats explain: use the law between "
-        f"neighbouring measured loads only, or look for a load that is misreported.{found}",
+        f"neighbouring measured loads only, or look for a load that is misreported.{hint}",
     )
-    return tested("lack_of_fit", statistic, f"F({dof_levels}, {dof})", p_value, sentences, fails=True)
+    return p_check("lack_of_fit", statistic, f"F({dof_levels}, {dof})", p_value, sentences, fails=True)
 
 
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
+    # the load at which the worst run, or `several` of one session and load, would lie on the law of all others
     fit, n = runs.fit, len(runs.x)
     if fit.design in {"constant", "confounded"}:
         return ""
@@ -100,12 +102,12 @@ def _with_other_load(runs: _Residuals, *, several: bool) -> str:
     alone = np.arange(n) == np.argmax(np.abs(runs.residual_m))
     members = np.column_stack([alone, *(cells == cell for cell in np.unique(cells)[:MAX_CELLS])])
     line = np.column_stack((runs.x, runs.groups.indicators))
-    basis = fit.fitted(runs.session)
+    basis = fit.design_basis(runs.session)
     own, residual = (part - basis @ (basis.T @ part) for part in (members, fit.residual_m))
     norm = np.maximum(np.sum(own**2, axis=0), 1e-9)
     gain, total = (residual @ own) ** 2 / norm, float(residual @ residual)
     of = members[:, int(np.argmax(gain))]
-    if total - gain.max() > MOST_OF_SQUARES * total or n - line.shape[1] < 4 or (of.sum() > 1) != several:
+    if total - gain.max() > MAX_SQUARES_LEFT * total or n - line.shape[1] < 4 or (of.sum() > 1) != several:
         return ""
     slope, *_, moved = np.linalg.lstsq(np.column_stack((line, of)), fit.radius_m, rcond=None)[0]
     stated, largest = float(fit.load_N[of].mean()), float(fit.load_N.max())
@@ -121,7 +123,7 @@ def _with_other_load(runs: _Residuals, *, several: bool) -> str:
 
 
 def _curvature(runs: _Residuals) -> Check | None:
-    z, y, base = runs.x / np.ptp(runs.x), runs.fit.residual_m * UM, runs.fit.fitted(runs.session)
+    z, y, base = runs.x / np.ptp(runs.x), runs.fit.residual_m * UM, runs.fit.design_basis(runs.session)
     square = z**2
     if runs.fit.design == "confounded":
         weight = np.sqrt(runs.groups.sizes)
@@ -137,7 +139,7 @@ def _curvature(runs: _Residuals) -> Check | None:
         f"The radius bends by about {sag} um in the middle of the load range: a straight law is that far off "
         "there; narrow the load range, or use a look-up table of measured loads.",
     )
-    return by_t("curvature", bend, sd, dof, sentences, fails=True)
+    return t_check("curvature", bend, sd, dof, sentences, fails=True)
 
 
 def _equal_scatter(runs: _Residuals) -> Check:
@@ -146,17 +148,17 @@ def _equal_scatter(runs: _Residuals) -> Check:
     if runs.fit.design == "confounded":
         hold = "the intervals rest on session means and hold"
     finding = f"The scatter changes with load; {hold}, the prediction band is too narrow at one end."
-    return tested("equal_scatter", statistic, "chi2(1)", p_value, ("The scatter is the same at every load.", finding))
+    return p_check("equal_scatter", statistic, "chi2(1)", p_value, ("The scatter is the same at every load.", finding))
 
 
 def _influence(runs: _Residuals) -> Check | None:
     n, fit = len(runs.x), runs.fit
     if runs.dof < 3 or float(runs.residual_m @ runs.residual_m) <= 0:
         return None
-    basis = fit.fitted(runs.session)
-    found = standing_out(basis, fit.residual_m - basis @ (basis.T @ fit.residual_m), max(min(n // 5, MOST_OUTLIERS), 1))
-    last = max((k for k, (*_, p) in enumerate(found) if p < NOTE_BELOW), default=0)
-    out, (_, size, p_value) = [run for run, *_ in found[: last + 1]], found[last]
+    basis = fit.design_basis(runs.session)
+    extremes = outliers(basis, fit.residual_m - basis @ (basis.T @ fit.residual_m), max(min(n // 5, MAX_OUTLIERS), 1))
+    last = max((k for k, (*_, p) in enumerate(extremes) if p < NOTE_BELOW), default=0)
+    out, (_, size, p_value) = [run for run, *_ in extremes[: last + 1]], extremes[last]
     pulling = int(np.argmax(fit.cook))
     cook = float(fit.cook[pulling])
     if p_value >= NOTE_BELOW and cook > 1:
@@ -164,7 +166,7 @@ def _influence(runs: _Residuals) -> Check | None:
         sentence = f"{words} (Cook's distance {cook:.1f}): repeat its load."
         return Check("influence", NOTE, sentence, cook, "Cook's distance", None)
     line = np.column_stack([np.ones(n), *([runs.x] if fit.model == "line" else [])])
-    off_m, moved, dof = moved_by(line, basis, fit.residual_m, out)
+    off_m, moved, dof = deletion_effect(line, basis, fit.residual_m, out)
     off, times = ", ".join(f"{UM * one:+.0f}" for one in off_m), f"{size:.1f}" if size < 1000.0 else "over 1000"
     words, whose = f"Run {runs.run_id[out[0]]} lies {off} um off, {times}", "its"
     if last:
@@ -175,9 +177,9 @@ def _influence(runs: _Residuals) -> Check | None:
         f"{words} standard deviations of the others: look at {whose} load, distance and counts, and correct it, "
         f"exclude it with a reason or repeat it.{load}",
     )
-    # within the others' interval the law with them holds the truth
+    # moved less, the law stays within the interval of the others'
     fails = moved > stdtrit(dof, 0.975) ** 2
-    return tested("influence", size, f"largest studentised residual of {n - last}", p_value, sentences, fails=fails)
+    return p_check("influence", size, f"largest studentised residual of {n - last}", p_value, sentences, fails=fails)
 
 
 def _normality(runs: _Residuals) -> Check | None:
@@ -192,32 +194,32 @@ def _normality(runs: _Residuals) -> Check | None:
         "The residuals are not normal: the intervals of the coefficients still hold for means of many runs, the "
         "prediction band may not; look for outliers or two groups of runs.",
     )
-    return tested("normality", statistic, "Shapiro-Wilk W", p_value, sentences)
+    return p_check("normality", statistic, "Shapiro-Wilk W", p_value, sentences)
 
 
 def _direction(runs: _Residuals) -> Check | None:
-    side, fit = way(runs.direction), runs.fit
+    side, fit = direction_sign(runs.direction), runs.fit
     loads = [fit.load_N[side == sign] for sign in (1.0, -1.0)]
     if min(map(len, loads)) < 3:
         return None
     known = np.isfinite(side)
-    half, sd, dof = partial_slope(fit.residual_m[known], side[known], fit.fitted(runs.session, known), ROUNDING)
-    with_load, per_N = beside_load(fit, side, runs.session)
+    half, sd, dof = partial_slope(fit.residual_m[known], side[known], fit.design_basis(runs.session, known), ROUNDING)
+    correlation, per_N = aliasing_with_load(fit, side, runs.session)
     of = f"Load and direction go together ({loads[0].mean():.0f} N out, {loads[1].mean():.0f} N back): the slope"
-    if with_load**2 > 1.0 - ALIASED:
+    if correlation**2 > 1.0 - ALIASED:
         return Check("direction", FAILED, f"{of} holds what one direction does; drive each load both ways.")
     if sd <= 0.0 or np.isinf(sd):
         return None
     moved, ends = abs(half * per_N), "As many runs out as back at each load cancel it, keep it so."
-    if spoilt := fit.model == "line" and moved > float(fit.estimate.half_width((0.0, 1.0))):
+    if biased := fit.model == "line" and moved > float(fit.estimate.half_width((0.0, 1.0))):
         ends = f"{of} holds {UM * moved:.2g} um/N of it; drive each load both ways."
     sentences = (
         "Out and back give the same radius.",
         f"Radii driven out are {UM * 2.0 * half:+.1f} um from those driven back: a zero error of the rangefinder, "
         f"a sloping floor or drag in one direction. {ends}",
     )
-    check = by_t("direction", half, sd, dof, sentences)
-    return replace(check, level=FAILED) if spoilt and check.level == NOTE else check
+    check = t_check("direction", half, sd, dof, sentences)
+    return replace(check, level=FAILED) if biased and check.level == NOTE else check
 
 
 def _range(fit: WheelFit) -> Check:
@@ -231,22 +233,24 @@ def _range(fit: WheelFit) -> Check:
     return Check("range", NOTE, f"{words}extrapolated; measure near it, or set reference_load_N in campaign.toml.")
 
 
-def tested(
+def p_check(
     name: str, statistic: float, statistic_name: str, p_value: float, sentences: tuple[str, str], *, fails: bool = False
 ) -> Check:
-    """Return the check of a test; see `Check`.
+    """Return the check of a significance test; see `Check`.
 
-    `sentences`: without and with a finding; `fails`: whether a clear one forbids the law.
+    `sentences`: without and with a finding; `fails`: whether a p-value below `FAIL_BELOW` forbids the law.
     """
     level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
     return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
 
 
-def by_t(name: str, slope: float, sd: float, dof: float, sentences: tuple[str, str], *, fails: bool = False) -> Check:
-    """Return the check of a slope by Student's t; see `tested`."""
+def t_check(
+    name: str, slope: float, sd: float, dof: float, sentences: tuple[str, str], *, fails: bool = False
+) -> Check:
+    """Return the check of a slope by Student's t; see `p_check`."""
     statistic = slope / sd if sd > 0.0 else 0.0
     p_value = float(2 * stdtr(dof, -abs(statistic)))
-    return tested(name, statistic, f"t({dof:.3g})", p_value, sentences, fails=fails)
+    return p_check(name, statistic, f"t({dof:.3g})", p_value, sentences, fails=fails)
 
 
 def _on_one_load(fit: WheelFit) -> str:
@@ -311,32 +315,33 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
     return Check("design", level, sentence)
 
 
-def beside_load(fit: WheelFit, values: FloatArray, session: StrArray) -> tuple[float, float]:
-    """Return `along_load` of a covariate where the slope comes from."""
+def aliasing_with_load(fit: WheelFit, values: FloatArray, session: StrArray) -> tuple[float, float]:
+    """Return `covariate_against_load` within sessions where the slope comes from there, else over all runs."""
     of = session if fit.design in {"crossed", "mixed"} else np.full(len(values), "")
-    return along_load(fit.load_N, values, of) if fit.model == "line" else (0.0, 0.0)
+    return covariate_against_load(fit.load_N, values, of) if fit.model == "line" else (0.0, 0.0)
 
 
 def _order(fit: WheelFit, session: StrArray) -> Check | None:
-    found, sloped = fit.autocorrelation, fit.design not in {"constant", "confounded"}
-    apart, level = "Runs that follow each other scatter independently.", OK
-    if sloped and beside_load(fit, np.arange(float(len(session))), session)[0] ** 2 > HIDING:
+    order, sloped = fit.autocorrelation, fit.design not in {"constant", "confounded"}
+    independent, level = "Runs that follow each other scatter independently.", OK
+    if sloped and aliasing_with_load(fit, np.arange(float(len(session))), session)[0] ** 2 > MAX_LOAD_R2:
         level = NOTE
-        apart = (
+        independent = (
             "Within the sessions the loads rise or fall with the order driven: what drifts there (warming up, wear) "
             "looks like load, which no interval holds; drive the loads in random order."
         )
-    if found is None or found.p_value == 1.0:
-        return Check("order", level, apart) if level == NOTE else None
-    fails = sloped and found.slope_ratio > MAX_SLOPE_WIDENING
-    alike = f"Runs that follow each other scatter alike (correlation about {found.rho:.2g})"
+    if order is None or order.p_value == 1.0:
+        return Check("order", level, independent) if level == NOTE else None
+    fails = sloped and order.slope_ratio > MAX_SLOPE_WIDENING
+    alike = f"Runs that follow each other scatter alike (correlation about {order.rho:.2g})"
     alike += (
         f", and the loads follow the order driven: what lasts looks like load. The intervals are "
-        f"{found.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads in random order."
+        f"{order.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads in random order."
         if fails
         else ": the intervals allow for it; let the wheels warm up, and drive the loads in random order."
     )
-    check = tested("order", found.lag_one, "lag-one autocorrelation", found.p_value, (apart, alike), fails=fails)
+    sentences, name = (independent, alike), "lag-one autocorrelation"
+    check = p_check("order", order.lag_one, name, order.p_value, sentences, fails=fails)
     return replace(check, level=level) if check.level == OK else check
 
 
@@ -356,7 +361,7 @@ def _session(fit: WheelFit, groups: Groups) -> Check | None:
         f"it, but look for the cause.{width_ratio}",
     )
     name = f"F({estimate.dof_between:.0f}, {estimate.dof_within:.0f})"
-    return tested("session", estimate.session_f, name, p_value, sentences)
+    return p_check("session", estimate.session_f, name, p_value, sentences)
 
 
 def _against_naive(fit: WheelFit) -> str:
@@ -365,7 +370,7 @@ def _against_naive(fit: WheelFit) -> str:
     aware, naive = (float(estimate.half_width((0.0, 1.0))) for estimate in (fit.estimate, fit.naive))
     if naive <= 0 or aware <= 0:
         return ""
-    # a twentieth of a width is nothing to act on
+    # a difference below 5 % is not worth a figure
     wide = "as wide as this one" if abs(naive / aware - 1.0) < 0.05 else f"{few_digits(naive / aware, 2)} times as wide"
     return f" Counting every run as independent would give a slope interval {wide}."
 
@@ -373,10 +378,13 @@ def _against_naive(fit: WheelFit) -> str:
 def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
     if fit.model != "line" or not 3 <= len(groups) <= MAX_INFLUENCE_SESSIONS:
         return None
-    others = groups.index != np.arange(len(groups))[:, None]
     x, y = fit.load_N - fit.load_N.mean(), fit.residual_m
-    # one load alone has no slope
-    change = np.array([np.polyfit(x[of], y[of], 1)[0] if np.ptp(x[of]) > 1e-3 * np.ptp(x) else 0.0 for of in others])
+    change = np.zeros(len(groups))
+    for session in range(len(groups)):
+        others = groups.index != session
+        # runs of one load have no slope
+        if np.ptp(x[others]) > 1e-3 * np.ptp(x):
+            change[session] = np.polyfit(x[others], y[others], 1)[0]
     if not change.any():
         return None
     worst = int(np.argmax(np.abs(change)))

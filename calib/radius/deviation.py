@@ -1,23 +1,26 @@
-"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, and each run."""
+"""Effect of a path off the straight line on an effective radius (Figs 8 and 9): closed forms, tables, runs, checks."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
 
+from calib.campaign.checks import partial_slope
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import steered_itself_m
 from calib.documents import plain
 from calib.errors import BadInputError
-from calib.radius.effective import UnusedRun, usable_runs
+from calib.radius.checks import NOTE_BELOW, UM, t_check
+from calib.radius.effective import EffectiveRadii, UnusedRun, usable_runs
 from calib.radius.path_length import PathExcess, arc_excess, correct_paths, small_amplitude_excess, whole_period_excess
+from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, Check, WheelFit
 from calib.types import BoolArray, FloatArray, Row, StrArray, floats, rows_of
 from calib.vehicle import Vehicle
 
-#: halvings, to rounding
+#: halvings of an interval, down to rounding
 BISECTIONS: Final = 60
 PAPER_DISTANCE_M: Final = 40.0
 
@@ -77,7 +80,7 @@ def allowed_amplitude_on_run_m(
         return np.maximum(np.abs(radius_error(excess.left)), np.abs(radius_error(excess.right)))
 
     over_periods, *_ = np.broadcast_arrays(allowed_amplitude_m(tolerance, wavelength_m), distance_m, phase_rad)
-    # part of a period may be flatter: a wide bracket
+    # part of a period may allow more: a wide bracket
     return _largest(worse, tolerance, 8 * over_periods)
 
 
@@ -93,12 +96,12 @@ def allowed_amplitude_m(tolerance: ArrayLike, wavelength_m: ArrayLike) -> FloatA
     return _largest(lambda amplitude_m: whole_period_excess(amplitude_m, wavelength), target, bracket)
 
 
-def _largest(error: Callable[[FloatArray], FloatArray], most: ArrayLike, bracket: FloatArray) -> FloatArray:
+def _largest(error: Callable[[FloatArray], FloatArray], tolerance: ArrayLike, bracket: FloatArray) -> FloatArray:
     low, high = np.zeros_like(bracket), bracket
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        fits = error(middle) <= np.asarray(most)
-        low, high = np.where(fits, middle, low), np.where(fits, high, middle)
+        within = error(middle) <= np.asarray(tolerance)
+        low, high = np.where(within, middle, low), np.where(within, high, middle)
     return np.asarray(low)
 
 
@@ -179,6 +182,54 @@ def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str,
     }
 
 
+#: the stated amplitude is wrong by more than this factor: peak to peak is 2; 20 % errors of measuring pass
+AMPLITUDE_FACTOR: Final = 1.5
+
+
+def weave_checks(radii: EffectiveRadii, wheels: list[WheelFit]) -> Iterator[Check]:
+    """Yield the check of the residuals against measured weaves; it is of both wheels."""
+    known = np.char.startswith(radii.path_source, "columns")
+    if not known.any():
+        return
+    # the mean of both wheels: the net turn of a weave of unknown phase cancels
+    residual = np.mean([wheel.residual_m / wheel.radius_m.mean() for wheel in wheels], axis=0)[known]
+    excess = 0.5 * (radii.path_left + radii.path_right)[known]
+    laws = np.column_stack([wheel.design_basis(radii.session)[known] for wheel in wheels])
+    share, sd, dof = partial_slope(residual, excess, laws, NOTE_BELOW * float(excess.max()))
+    if dof < MIN_SLOPE_DOF or sd <= 0.0:
+        return
+    # the excess goes by the square of the amplitude
+    times = max(1.0 - share, 0.0) ** 0.5
+    moved = UM * share * float(excess.mean()) * wheels[0].law.radius_ref_m
+    sentences = (
+        "The residuals do not follow the weave.",
+        f"The residuals follow the weave as if its amplitude were {times:.2g} times the one stated, which moves the "
+        f"radii by {moved:+.2g} um: amplitude_m is half of peak to peak; check it.",
+    )
+    yield t_check("weave", share, sd, dof, sentences, fails=not 1.0 / AMPLITUDE_FACTOR < times < AMPLITUDE_FACTOR)
+
+
+def with_path_check(fit: WheelFit, radius_per_bow: float, apart_m: float) -> WheelFit:
+    """Return `fit` with the check of paths that count as straight.
+
+    `radius_per_bow`: change of the radius by a bow of all runs, m/m; `apart_m`: see `steered_itself_m`.
+    """
+    moved, level = f"{UM * 0.01 * radius_per_bow:.2g} um", NOTE
+    sentence = (
+        f"No end heading was measured: paths are taken for straight. A bow of 1 cm in all runs moves the radius by "
+        f"{moved}, the other wheel's the other way, which no interval holds; measure ref_theta_rad, or declare "
+        "path.apart_m under [uncertainty]."
+    )
+    if apart_m >= 0.0:
+        level = FAILED
+        sentence = (
+            f"The wheels of all runs rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems to have steered "
+            "by its own counts. Then only the mean of both radii is known; measure ref_theta_rad at the end, or guide "
+            "the vehicle by a line."
+        )
+    return replace(fit, checks=(*fit.checks, Check("path", level, sentence)))
+
+
 #: quantile of the normal distribution, 97.5 %
 NORMAL_95: Final = 1.96
 PASSED: Final = "within"
@@ -235,11 +286,11 @@ class RunDeviations:
 
 
 def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
-    """Judge the path of every straight run against a tolerance.
+    """Judge the path of every straight run against a tolerance, the largest relative error of a radius.
 
-    Runs without log, amplitude and wavelength are ``unknown``, and those of which the 95 % interval alone reaches
-    beyond the tolerance, the largest relative error of a radius. Raises RefusedError where there is no straight run;
-    BadInputError where the tolerance is not between 0 and 1.
+    ``unknown`` are runs without log, amplitude and wavelength, and those whose error is within the tolerance but its
+    95 % interval is not. Raises RefusedError where there is no straight run; BadInputError where the tolerance is not
+    between 0 and 1.
     """
     if not 0 < tolerance < 1:
         expected = "a share between 0 and 1; 0.0005 is 0.05 % of the radius"
@@ -252,11 +303,11 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     known = (path.source != "none") & ~(blind & (steered_itself_m(campaign) >= 0.0))
     left, right = radius_error(path.left), radius_error(path.right)
     error, columns = np.maximum(np.abs(left), np.abs(right)), path.source == "columns"
-    # the turn of an unknown phase is at most the root of two times its standard deviation
-    off = np.hypot(0.5 * vehicle.track_m * path.yaw_std_rad / distance, path.centre_std)
-    within = error + np.where(columns, np.sqrt(2.0), NORMAL_95) * off <= tolerance
+    # the turn of a weave of unknown phase is at most sqrt(2) of its standard deviations
+    std = np.hypot(0.5 * vehicle.track_m * path.yaw_std_rad / distance, path.centre_std)
+    within = error + np.where(columns, np.sqrt(2.0), NORMAL_95) * std <= tolerance
     weaving = np.isfinite(path.wavelength_m) & (path.wavelength_m > 0)
-    # of an unknown phase, that of the largest turn
+    # an unknown phase is taken as that of the largest turn
     phases = np.where(columns, np.pi * (0.5 - distance / path.wavelength_m), path.phase_rad)
     phased = weaving & np.isfinite(phases)
     allowed = np.full(len(runs), np.nan)
@@ -266,7 +317,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         allowed[phased] = allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
     small = np.full(len(runs), np.nan)
     small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
-    # r_R / r_L by each run; the distance cancels
+    # r_R / r_L of each run; the distance cancels
     ratio = (np.abs(runs.number("counts_left")) / campaign.encoder.counts_per_rev_left * (1 + path.right)) / (
         np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right * (1 + path.left)
     )

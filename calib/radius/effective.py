@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from calib.campaign.checks import off_line, turned_rad
+from calib.campaign.checks import line_residuals, turned_rad
 from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import SOURCE_NAMES, WHEEL_COLUMNS, odometry_source, without_rear_wheels
@@ -19,11 +19,11 @@ from calib.types import FloatArray, StrArray, floats
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
-#: apparent turn beyond which a run was not straight; radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
+#: largest turn of a straight run by its counts: radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
 STRAIGHT_TURN_RAD: Final = 1.2
-#: the same of a measured turn
+#: largest measured turn of a straight run
 STRAIGHT_HEADING_RAD: Final = 0.5
-#: over less, counts and rangefinder leave more than a per mille of the radius
+#: shortest run used: below, counts and rangefinder leave an uncertainty above 0.1 % of the radius
 SHORTEST_M: Final = 1.0
 
 
@@ -100,7 +100,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
             "'calib geometry' for the radius and the lengths of this vehicle"
         )
     runs, notes = campaign.runs, []
-    # of left and right wheel, shape (2, n_runs)
+    # left and right wheel, shape (2, n_runs)
     loads, counts = (np.stack([*map(runs.number, of)]) for of in (WHEEL_LOADS, WHEEL_COLUMNS["rear"]))
     unladen = not np.isfinite(loads).any() and not np.any(runs.number("payload_kg") > 0)
     if need_load and unladen:
@@ -111,8 +111,8 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
         loads = np.full_like(loads, own_N)
     turn = turned_rad(campaign)
-    # a wrong counts_per_rev turns all runs alike, loads by what radii differ: no reason to drop them
-    unusual = off_line(loads[0] - loads[1], turn)
+    # turns in proportion to the load difference come from the radii, equal ones from counts_per_rev
+    unusual = line_residuals(loads[0] - loads[1], turn)
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
     straight |= not straight.any()
@@ -177,8 +177,6 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         "weave": np.where(path.source == "log", off, 0.0),
     }
     std = np.sqrt(sum(part**2 for part in parts.values()))
-    both = {"radius_{}_m": radius, "std_{}_m": std, "path_{}": excess}
-    sides = {name.format(side): pair[at] for at, side in enumerate(("left", "right")) for name, pair in both.items()}
     return EffectiveRadii(
         run_id=runs.run_id,
         session=runs.label("session"),
@@ -191,7 +189,12 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
         left_out=left_out,
         notes=(*notes, *path.notes),
         **{name: runs.number(name) for name in WHEEL_LOADS},
-        **sides,
+        radius_left_m=radius[0],
+        radius_right_m=radius[1],
+        std_left_m=std[0],
+        std_right_m=std[1],
+        path_left=excess[0],
+        path_right=excess[1],
     )
 
 
@@ -211,15 +214,15 @@ def _budget(parts: Mapping[str, FloatArray], campaign: Campaign) -> tuple[Compon
     )
 
 
-#: half width over standard deviation; that of a normal distribution holds 95 %
+#: half width over standard deviation; of a normal distribution that of its 95 % interval
 _DIVISORS: Final[Mapping[str, float]] = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "normal": 1.96}
-#: fourth moment over the squared variance: the error of a distance is of second order in the angle of the beam
+#: fourth moment over the squared variance: the distance depends on the square of the beam's angle
 _KURTOSIS: Final[Mapping[str, float]] = {"rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "normal": 3.0}
 
 
 @dataclass(frozen=True, slots=True)
 class SystematicSource:
-    """A declared part of the uncertainty."""
+    """A declared error that is the same in every run."""
 
     #: section and key below ``[uncertainty]``: ``rangefinder``, ``scale``
     section: str
@@ -240,17 +243,18 @@ class SystematicSource:
     @property
     def words(self) -> str:
         """Description with its standard uncertainty."""
-        what, unit, factor = _WORDS[self.section, self.key]
+        what, unit, factor = _DESCRIPTIONS[self.section, self.key]
         return f"{what}, u = {factor * self.std:.2g} {unit}, the same in every run"
 
 
-def _along(wheel: WheelFit, sensitivity: FloatArray) -> FloatArray:
+def _line_over_load(wheel: WheelFit, sensitivity: FloatArray) -> FloatArray:
+    # value at the reference load and slope, as a change of each run's radius moves the law
     if wheel.model != "line":
         return np.array([sensitivity.mean(), 0.0])
     return floats(np.polynomial.polynomial.polyfit(wheel.load_N - wheel.law.reference_load_N, sensitivity, 1))
 
 
-_WORDS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {
+_DESCRIPTIONS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {
     ("rangefinder", "scale"): ("scale of the distance", "ppm", 1e6),
     ("rangefinder", "offset_m"): ("offset of the distance", "mm", 1e3),
     ("rangefinder", "beam_rad"): ("angle of the beam to the path", "mrad", 1e3),
@@ -261,7 +265,7 @@ _WORDS: Final[Mapping[tuple[str, str], tuple[str, str, float]]] = {
 
 
 def declared_sources(campaign: Campaign) -> tuple[SystematicSource, ...]:
-    """Return the systematic parts that a campaign declares under ``[uncertainty]``.
+    """Return the systematic sources that a campaign declares under ``[uncertainty]``.
 
     Raises BadFileError where a section or key is unknown, or an entry has no size.
     """
@@ -269,11 +273,11 @@ def declared_sources(campaign: Campaign) -> tuple[SystematicSource, ...]:
     if declared is None:
         return ()
     where = "campaign.toml" if campaign.root is None else campaign.root / "campaign.toml"
-    known = ", ".join(f"{section}.{key}" for section, key in _WORDS)
+    known = ", ".join(f"{section}.{key}" for section, key in _DESCRIPTIONS)
     sources = []
     for section, entries in _mapping(declared, where, "uncertainty").items():
         for key, entry in _mapping(entries, where, f"uncertainty.{section}").items():
-            if (section, key) not in _WORDS:
+            if (section, key) not in _DESCRIPTIONS:
                 raise BadFileError(
                     where, "an unknown key", f"one of {known}", "correct it", column=f"uncertainty.{section}.{key}"
                 )
@@ -305,13 +309,13 @@ def _source(section: str, key: str, entry: Any, where: Path | str) -> Systematic
 
 
 def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[SystematicSource, ...]) -> WheelFit:
-    """Return a wheel's fit with systematic parts in its covariance and intervals.
+    """Return a wheel's fit with systematic sources in its covariance and intervals.
 
-    The weave by logs is one: its course at start and end, which every run may have alike, hides in the trend.
+    The weave by logs is one: the trend that is taken out may hold a part of it that every run has alike.
     """
-    rows = [_gradient(source, wheel, radii.distance_m) for source in sources]
+    rows = [_shift_of_law(source, wheel, radii.distance_m) for source in sources]
     weaves = [getattr(part, f"std_{wheel.wheel}_m") for part in radii.budget if part.name == "weave"]
-    rows += [np.array([_side(wheel.wheel) * std, 0.0]) for std in weaves]
+    rows += [np.array([_side_sign(wheel.wheel) * std, 0.0]) for std in weaves]
     if not rows:
         return wheel
     systematic = np.array(rows)
@@ -322,12 +326,12 @@ def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[Syste
 def systematic_components(
     wheels: Mapping[str, WheelFit], radii: EffectiveRadii, sources: tuple[SystematicSource, ...]
 ) -> tuple[Component, ...]:
-    """Return the budget of a single radius, in the middle of the loads driven."""
+    """Return the budget's lines of systematic sources, at the mean of the loads driven."""
     lines = []
     for source in sources:
         sizes = []
         for wheel in wheels.values():
-            radius, slope = _gradient(source, wheel, radii.distance_m).tolist()
+            radius, slope = _shift_of_law(source, wheel, radii.distance_m).tolist()
             middle = float(np.mean(wheel.load_N)) - wheel.law.reference_load_N if wheel.model == "line" else 0.0
             sizes.append(abs(radius + middle * slope))
         dof = source.dof if math.isfinite(source.dof) else None
@@ -335,37 +339,38 @@ def systematic_components(
     return tuple(lines)
 
 
-def _side(wheel: str) -> float:
+def _side_sign(wheel: str) -> float:
     return -1.0 if wheel == "left" else 1.0
 
 
-def _gradient(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray) -> FloatArray:
-    along = (_along(wheel, wheel.radius_m), _along(wheel, wheel.radius_m / distance_m))
-    return gradient(source, wheel.wheel, wheel.law.reference_load_N, wheel.law.slope_m_per_N, *along)
+def _shift_of_law(source: SystematicSource, wheel: WheelFit, distance_m: FloatArray) -> FloatArray:
+    lines = (_line_over_load(wheel, wheel.radius_m), _line_over_load(wheel, wheel.radius_m / distance_m))
+    return systematic_shift(source, wheel.wheel, wheel.law.reference_load_N, wheel.law.slope_m_per_N, *lines)
 
 
-def gradient(
+def systematic_shift(
     source: SystematicSource,
     wheel: str,
     reference_load_N: float,
     slope_m_per_N: float,
     radius: FloatArray,
-    reach: FloatArray,
+    offset_gain: FloatArray,
 ) -> FloatArray:
-    """Return what a standard uncertainty of a source moves the coefficients by, shape (2,); see `with_systematic`.
+    """Return the change of radius_ref and slope, shape (2,), by one standard uncertainty.
 
-    `radius`, `reach`: lines of radius and of radius over distance along the load, shape (2,).
+    `source`: see `SystematicSource`; `radius`, `offset_gain`: value at the reference load and slope of radius and of
+    radius over distance, shape (2,).
     """
     std = source.std
     match source.section, source.key:
         case "rangefinder", "scale":
             return std * radius
         case "rangefinder", "offset_m":
-            return std * reach
+            return std * offset_gain
         case "path", "apart_m":
-            return 0.5 * _side(wheel) * std * reach
+            return 0.5 * _side_sign(wheel) * std * offset_gain
         case "rangefinder", "beam_rad":
-            # a beam at the angle a measures the distance over cos a: root mean square of a^2 / 2
+            # a beam at angle a measures distance / cos(a), too much by a^2 / 2: its root mean square
             return 0.5 * math.sqrt(_KURTOSIS[source.distribution]) * std**2 * radius
         case "weighing", "scale":
             return -std * slope_m_per_N * np.array([reference_load_N, 1.0])
@@ -374,7 +379,7 @@ def gradient(
 
 
 def observed_components(radii: EffectiveRadii, left: WheelFit, right: WheelFit) -> tuple[Component, ...]:
-    """Return the type A lines: scatter of the runs beyond the instruments'."""
+    """Return the budget's type A lines: scatter of runs beyond the instruments', and of sessions."""
     instruments = [float(np.sqrt(np.mean(np.nan_to_num(std) ** 2))) for std in (radii.std_left_m, radii.std_right_m)]
     scatter = zip((left.run_std_m, right.run_std_m), instruments, strict=True)
     unexplained = [float(np.sqrt(max(observed**2 - known**2, 0.0))) for observed, known in scatter]

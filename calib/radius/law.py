@@ -16,20 +16,20 @@ from calib.documents import plain_fields
 from calib.types import BoolArray, FloatArray, floats
 
 JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_right_m_per_N", "track_m")
-#: and the quantile at its upper end
+#: of all intervals, and the quantile at their upper end
 COVERAGE: Final = 0.95
 UPPER: Final = 0.5 + COVERAGE / 2
-#: observed shares of the between part with solved critical values; denser at both ends, where they bend
+#: shares of the between part for which critical values are solved; denser at the ends, where they bend
 SHARES: Final = 0.5 * (1 - np.cos(np.pi * np.arange(25) / 24))
 #: half steps of the solution; the coverage is then right to 0.15 %
 WELCH_ITERATIONS: Final = 12
-#: two sessions have no curve: nodes of equal probability miss its tail (coverage 92.6 %); each part has its own t
+#: with fewer (two sessions) each part has its own t: nodes of equal probability miss the tail (coverage 92.6 %)
 FEWEST_BETWEEN_DOF: Final = 2.0
-#: nodes of a chi-squared of few and of many degrees of freedom
+#: nodes of equal probability of a chi-squared of few and of many degrees of freedom
 NODES_FEW_DOF: Final = 64
 NODES_MANY_DOF: Final = 16
 MANY_DOF: Final = 20.0
-#: for infinitely many: Student's t is then normal to six digits
+#: stands for infinitely many: Student's t is then normal to six digits
 LARGEST_DOF: Final = 1e6
 
 
@@ -46,15 +46,15 @@ class WheelLaw:
     slope_m_per_N: float
     #: covariance of (radius_ref_m, slope_m_per_N), shape (2, 2)
     covariance: FloatArray
-    #: of `covariance`; see `strata`
+    #: degrees of freedom of `covariance`; see `strata`
     dof: float
     #: standard deviation of a single run, in a session of its own, about the law; 0: not estimated
     residual_std_m: float
-    #: measured (a coefficient file's valid range); beyond, the law extrapolates
+    #: measured range (a coefficient file's valid range); beyond, the law extrapolates
     load_min_N: float
     load_max_N: float
     n_runs: int
-    #: parts of the covariance and of the scatter, which give each load its degrees of freedom; None: `dof` for all
+    #: runs' and sessions' parts of covariance and scatter, which give each load its degrees of freedom; None: `dof`
     strata: "LineEstimate | None" = None
 
     def radius_m(self, load_N: ArrayLike) -> FloatArray:
@@ -126,7 +126,7 @@ def half_width(scales: FloatArray, dof: Sequence[float]) -> float:
 
 
 def shared_dof(variance: FloatArray, dof: FloatArray) -> FloatArray:
-    """Return the degrees of freedom, (...), of parts fitted together, theirs (..., k) weighted by variance (..., k)."""
+    """Return the variance-weighted harmonic mean, (...), of the degrees of freedom of parts, (..., k) both."""
     weight = variance + 1e-300
     return np.asarray(weight.sum(axis=-1) / (weight / dof).sum(axis=-1))
 
@@ -238,8 +238,8 @@ class LineEstimate:
         random = critical_value(share, self.dof_between, self.dof_within) * np.sqrt(total)
         if self.sessions_agree:
             # never narrower than of independent runs
-            alone = self._variance(contrast, single_run, self.session_f or 1.0)[0]
-            random = np.maximum(random, stdtrit(self.dof_within, UPPER) * np.sqrt(alone))
+            independent = self._variance(contrast, single_run, self.session_f or 1.0)[0]
+            random = np.maximum(random, stdtrit(self.dof_within, UPPER) * np.sqrt(independent))
         if not len(self.systematic):
             return random
         each = floats(contrast) @ self.systematic.T
@@ -271,16 +271,16 @@ class LineEstimate:
 
     @property
     def sessions_agree(self) -> bool:
-        """Whether sessions agree better than their runs explain."""
+        """Whether sessions agree better than the scatter of their runs lets expect."""
         return self.session_f is not None and 0.0 < self.session_f < 1.0
 
     def _variance(self, contrast: ArrayLike, single_run: bool, ratio: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        # of runs and sessions, and the sessions' share of it; ratio: that the sessions' part is divided by
+        # variance of runs and sessions, and the sessions' share of it; ratio: divisor of the sessions' covariance
         c = floats(contrast)
-        further = c[..., 0] ** 2 * single_run
+        scatter = c[..., 0] ** 2 * single_run
         parts = ((self.cov_within, self.run_variance), (self.cov_between / ratio, self.session_variance))
         within, between = (
-            np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) + further * variance for part, variance in parts
+            np.maximum(np.einsum("...i,ij,...j->...", c, part, c), 0.0) + scatter * variance for part, variance in parts
         )
         total = np.asarray(within + between)
         return total, np.where(total > 0, between / np.where(total > 0, total, 1.0), 0.0)
@@ -318,7 +318,7 @@ def critical_curve(dof_between: float, dof_within: float) -> FloatArray:
         curve = np.clip(curve + 0.5 * (COVERAGE - covered) / rate, pooled_t, ends.max())
         curve[0], curve[-1] = ends
         if ends[1] >= ends[0]:
-            # past the dip more weight on fewer degrees of freedom never narrows it
+            # beyond its minimum a critical value never falls: sessions have fewer degrees of freedom
             low = int(np.argmin(curve))
             curve[low:] = np.maximum.accumulate(curve[low:])
     curve.flags.writeable = False
@@ -326,7 +326,7 @@ def critical_curve(dof_between: float, dof_within: float) -> FloatArray:
 
 
 def critical_value(share: ArrayLike, dof_between: float, dof_within: float) -> FloatArray:
-    """Return the critical value for observed shares, V_between over the sum; it multiplies its root.
+    """Return the critical value for observed shares, V_between over the sum V; it multiplies sqrt(V).
 
     `dof_between`, `dof_within`: 0 where there is no such part.
     """

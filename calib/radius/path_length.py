@@ -1,6 +1,6 @@
-"""How much longer than S_O each wheel's path was, run by run, and with which uncertainty (Fig. 8).
+"""Excess of each wheel's path over S_O in each run, with its uncertainty, from the headings of its log (Fig. 8).
 
-By the heading against distance rolled, in the log; see `docs/report.md`.
+See `docs/report.md`.
 """
 
 from collections.abc import Iterator
@@ -15,31 +15,29 @@ from calib.campaign.model import Campaign, Logs
 from calib.campaign.read import looks_ahead
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
-#: a heading reference is used where it tells more than its own noise
+#: least share of real turns in the variance of measured headings for these to be used
 MIN_RELIABILITY: Final = 0.05
 #: equal steps of the distance rolled on which headings are fitted: six a period of the shortest weave
 HEADING_POINTS: Final = 256
-#: fitted at once, to save memory
+#: runs fitted at once, to save memory
 RUN_CHUNK: Final = 128
-#: for the seven parameters of a weave
+#: fewest samples of a log, for the five parameters of trend and weave
 MIN_SAMPLES: Final = 16
 #: a wave longer than twice the run cannot be told from a trend
 MIN_PERIODS: Final = 0.5
 #: six points a period at the most, see `HEADING_POINTS`
 MAX_PERIODS: Final = 42.0
-#: of starting values; finer than half a period, so that Gauss-Newton finds the right wave
+#: step of the starting values, in periods; below half, so that Gauss-Newton finds the right wave
 PERIOD_STEP: Final = 0.25
-#: headings about the axis over those about a straight trend, beyond which the fit diverged
+#: a fit diverged whose headings about its trend are this factor above those about a straight line
 MAX_TREND_RATIO: Final = 3.0
 TINY_RAD: Final = 1e-9
 #: powers of the radii in the fields of `Weaves`
-SCALED: Final = (2, 1, 0, 2, 1, 1, 2)
-#: Gauss-Newton steps; the first without the wavelength
+RADIUS_POWERS: Final = (2, 1, 0, 2, 1, 1, 2)
+#: Gauss-Newton steps; the first keeps the wavelength
 GAUSS_NEWTON_STEPS: Final = 7
-#: a larger step would jump to another wave
+#: largest change of the number of periods in a step: a larger one would jump to another wave
 MAX_PERIOD_CHANGE: Final = 0.2
-
-
 #: u = (2 pi A / lambda)^2 below which a series keeps digits that subtractions lose: relative truncation 5 u^2 / 64
 SERIES_BELOW: Final = 1e-6
 
@@ -114,19 +112,20 @@ def correct_paths(campaign: Campaign) -> RunPaths:
         2 * np.pi * campaign.model.radius_right_m / campaign.encoder.counts_per_rev_right,
     )
     weaves = estimate_weaves(campaign.logs, metres_per_count, track)
-    # the measured distance says how far the radii are off, and the headings
+    # the measured distance corrects the model's radii, and with them the headings
     left, right = (np.abs(runs.number(f"counts_{side}")) for side in ("left", "right"))
     rolled = left * metres_per_count[0] / 2 + right * metres_per_count[1] / 2
     scale = distance * (1 + weaves.excess) / rolled
-    weaves = Weaves(*(part * scale**power for part, power in zip(weaves, SCALED, strict=True)))
+    weaves = Weaves(*(part * scale**power for part, power in zip(weaves, RADIUS_POWERS, strict=True)))
     logged = weaves.known
     amplitude, wavelength = np.abs(runs.number("amplitude_m")), np.abs(runs.number("wavelength_m"))
     listed = ~logged & np.isfinite(amplitude) & (wavelength > 0)
 
     centre, centre_std, yaw, yaw_std = np.zeros((4, n))
-    shown = np.abs(weaves.yaw_rad) > 2.0 * weaves.yaw_std_rad
-    centre[logged], yaw[logged] = weaves.excess[logged], np.where(shown, weaves.yaw_rad, 0.0)[logged]
-    yaw_std[logged] = np.hypot(weaves.yaw_std_rad, np.where(shown, 0.0, weaves.yaw_rad))[logged]
+    # a turn within two standard uncertainties is not corrected, and is uncertainty itself
+    significant = np.abs(weaves.yaw_rad) > 2.0 * weaves.yaw_std_rad
+    centre[logged], yaw[logged] = weaves.excess[logged], np.where(significant, weaves.yaw_rad, 0.0)[logged]
+    yaw_std[logged] = np.hypot(weaves.yaw_std_rad, np.where(significant, 0.0, weaves.yaw_rad))[logged]
     centre_std[logged] = weaves.excess_std[logged]
     if listed.any():
         slope = 2 * np.pi * amplitude[listed] / wavelength[listed]
@@ -136,7 +135,7 @@ def correct_paths(campaign: Campaign) -> RunPaths:
         yaw_std[listed] = slope * np.sqrt(np.maximum(1 - np.cos(turns), 0.0))
         centre_std[listed] = slope**2 * np.abs(np.sin(turns)) / (4 * np.sqrt(2) * turns)
 
-    arc, reliability = _arcs(campaign, yaw, yaw_std)
+    arc, reliability = _arc_turns(campaign, yaw, yaw_std)
     used = reliability > MIN_RELIABILITY
     arc = np.where(used, arc, 0.0)
     ends = (runs.number(name) for name in ("ref_x_m", "ref_y_m"))
@@ -154,18 +153,19 @@ def correct_paths(campaign: Campaign) -> RunPaths:
     return RunPaths(centre, centre - half, centre + half, yaw, yaw_std, centre_std, *weave, source, notes)
 
 
-def _arcs(campaign: Campaign, yaw_rad: FloatArray, yaw_std_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _arc_turns(campaign: Campaign, yaw_rad: FloatArray, yaw_std_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    # measured turns beyond the logs', shrunk by their reliability: the share of real arcs in their variance
     heading = campaign.runs.number("ref_theta_rad")
     measured = np.isfinite(heading)
     if not measured.any():
         return np.zeros_like(yaw_rad), np.zeros_like(yaw_rad)
-    noise, known = campaign.reference.sigma_theta_rad, yaw_std_rad**2
+    noise, of_logs = campaign.reference.sigma_theta_rad, yaw_std_rad**2
     surplus = np.where(measured, heading - yaw_rad, 0.0)
-    # scatter of the measured headings beyond noise and uncertainty of the logs: real arcs
-    expected = float(np.mean((noise**2 + known)[measured]))
+    # real arcs: scatter of the measured headings beyond their noise and the logs' uncertainty
+    expected = float(np.mean((noise**2 + of_logs)[measured]))
     observed = float(np.mean((surplus**2)[measured]))
     arcs = observed - expected if observed > expected * (1 + 3 * np.sqrt(2 / measured.sum())) else 0.0
-    unknown = arcs + known
+    unknown = arcs + of_logs
     reliability = np.where(measured & (unknown > 0), unknown / np.maximum(unknown + noise**2, 1e-300), 0.0)
     return reliability * surplus, reliability
 
@@ -189,7 +189,7 @@ def _notes(logged: BoolArray, listed: BoolArray, used: BoolArray) -> Iterator[st
 
 
 class Weaves(NamedTuple):
-    """Weave and path of each run; arrays of shape (n_runs,), NaN where the log does not carry it."""
+    """Weave and path of each run by its log; arrays of shape (n_runs,), NaN without an estimate."""
 
     #: of ``y = A sin(2 pi x / lambda + phase)``
     amplitude_m: FloatArray
@@ -212,8 +212,8 @@ class Weaves(NamedTuple):
 def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: float) -> Weaves:
     """Estimate the weave of every run that has a log.
 
-    `metres_per_count`: left and right, by the assumed radii; a common error of 1 % changes lengths by 1 %, one wheel's
-    error is taken out with the trend.
+    `metres_per_count`: left and right, by the assumed radii; a common error of 1 % changes lengths by 1 %, an error of
+    one wheel goes into the trend.
     """
     out = np.full((7, len(logs.lengths)), np.nan)
     if "counts_left" in logs.columns and "counts_right" in logs.columns:
@@ -310,7 +310,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
 def _without_diverged(
     heading_rad: FloatArray, u: FloatArray, line: FloatArray, wave: FloatArray, weave: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    # the trend alone where line and wave diverged with opposite signs
+    # where the fit diverged, a straight line and no wave
     off = u - 0.5
     trend = (off * heading_rad).sum(axis=1) / (off * off).sum(axis=1)
     plain = np.stack([heading_rad.mean(axis=1) - 0.5 * trend, trend])
@@ -319,7 +319,7 @@ def _without_diverged(
         left = heading_rad - axis[0, :, None] - axis[1, :, None] * u - course
         return np.asarray(np.sqrt(np.mean(left**2, axis=1)))
 
-    # far more than the residual of a straight trend is two large terms that cancel
+    # diverged: line and wave are large and cancel
     straight = about(plain)
     diverged = (about(line) > MAX_TREND_RATIO * straight + TINY_RAD) | (about(line, weave) > straight + TINY_RAD)
     return np.where(diverged, plain, line), np.where(diverged, 0.0, wave)

@@ -10,10 +10,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import stdtrit
 
-from calib import radius as sessions
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
-from calib.radius import HC3_MIN_DOF, breusch_pagan, groups_of, stratified_constant, stratified_line, widened
+from calib.radius import (
+    WORKING_RATIO,
+    Autocorrelation,
+    Groups,
+    groups_of,
+    needs_hc3,
+    stratified_constant,
+    stratified_line,
+    widened,
+)
 from calib.radius.law import UPPER, LineEstimate, RadiusLaw, WheelLaw
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
@@ -29,6 +37,8 @@ _DOCUMENT: Final = (
     "reference_load_N", "intercept_m", "radius_ref_ci95_m", "slope_ci95_m_per_N", "r_squared", "residual_std_m",
     "dof_radius_ref", "model", "design", "run_std_m", "session_std_m", "checks",
 )  # fmt: skip
+#: fewest degrees of freedom of the scatter about a further slope
+MIN_SLOPE_DOF: Final = 5
 #: levels of a check: usable; usable with caution; the law should not be used as it is
 OK: Final = "ok"
 NOTE: Final = "note"
@@ -43,10 +53,10 @@ class Check:
     #: ``ok``, ``note`` or ``failed``
     level: str
     sentence: str
-    #: None: none, or not made
+    #: None where the check has none, or could not be made
     statistic: float | None = None
     statistic_name: str = ""
-    #: where nothing is wrong
+    #: of the statistic where nothing is wrong
     p_value: float | None = None
 
     @property
@@ -83,8 +93,8 @@ class WheelFit:
     cook: FloatArray
     #: see `calib.radius.checks`
     checks: tuple[Check, ...] = ()
-    #: of runs that follow each other; None in a fit read from a file, whose estimate allows for it already
-    autocorrelation: sessions.Autocorrelation | None = None
+    #: of consecutive runs; None in a fit read from a file, whose estimate allows for it already
+    autocorrelation: Autocorrelation | None = None
 
     @property
     def model(self) -> str:
@@ -93,10 +103,10 @@ class WheelFit:
 
     @cached_property
     def law(self) -> WheelLaw:
-        """The law that is handed on.
+        """The law for odometry and export.
 
-        Its covariance is the session-aware one, its ``dof`` the smaller of those of radius and slope, its
-        ``residual_std_m`` the standard deviation of a single run in a session of its own.
+        Its covariance is session-aware, its ``dof`` the smaller of those of radius and slope, its ``residual_std_m``
+        the standard deviation of a single run in a session of its own.
         """
         radius, slope = self.estimate.coefficients.tolist()
         return WheelLaw(
@@ -129,7 +139,7 @@ class WheelFit:
 
     @property
     def intercept_m(self) -> float:
-        """Radius at zero load, to which the line is prolonged."""
+        """Radius at zero load, extrapolated."""
         return self.law.radius_ref_m - self.law.slope_m_per_N * self.reference_load_N
 
     @property
@@ -157,8 +167,8 @@ class WheelFit:
         centre, half = self.law.radius_m(load_N), self.law.half_width_m(load_N, single_run=single_run)
         return centre - half, centre + half
 
-    def fitted(self, session: StrArray, known: BoolArray | slice = slice(None)) -> FloatArray:
-        """Return orthonormal columns (n_known, k) of sessions, and of the load beside them."""
+    def design_basis(self, session: StrArray, known: BoolArray | slice = slice(None)) -> FloatArray:
+        """Return an orthonormal basis of the design, (n_known, k): sessions, and the load where it has a slope."""
         base, load = groups_of(session[known]).indicators, self.load_N[known]
         if self.design not in {"constant", "confounded"}:
             base = np.column_stack((base, load / load.max()))
@@ -190,7 +200,7 @@ class WheelFit:
 
     @staticmethod
     def from_dict(wheel: str, value: Mapping[str, Any]) -> "WheelFit":
-        """Return the fit that `to_dict` wrote; the rest is computed."""
+        """Return the fit that `to_dict` wrote."""
         strata, naive, line = value["strata"], value["naive"], value["model"] == "line"
         scalars = ("reference_load_N", "r_squared", "residual_std_m")
         written: dict[str, Any] = {name: float(value[name]) for name in scalars}
@@ -278,7 +288,7 @@ def fit_wheel(
         naive = independent_line(ols)
         estimate = (stratified_line(x, radius, groups) if grouped else None) or independent_line(ols, x)
     estimate, autocorrelation = widened(estimate, x if naive else None, radius, groups)
-    # also where there are too few sessions to estimate their scatter
+    # confounded also where there are too few sessions to estimate their scatter
     design = "confounded" if grouped and estimate.design == "single" else estimate.design
     influence = ols.get_influence()
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -312,28 +322,28 @@ def independent_line(ols: "RegressionResults", x: FloatArray | None = None) -> L
 
     `x` (shape (n_runs,)): load minus reference load, for HC3 where the scatter clearly depends on it; None: never HC3.
     """
-    hc3 = x is not None and ols.df_resid >= HC3_MIN_DOF and breusch_pagan(ols.resid, x)[1] < sessions.HC3_BELOW
+    hc3 = x is not None and needs_hc3(ols.resid, x, ols.df_resid)
     covariance = ols.cov_HC3 if hc3 else ols.cov_params()
     return LineEstimate.one_stratum(
         "single", ols.params, covariance, float(ols.df_resid), float(ols.mse_resid), hc3=bool(hc3)
     )
 
 
-def paired_law(left: WheelFit, right: WheelFit, groups: sessions.Groups) -> RadiusLaw:
+def paired_law(left: WheelFit, right: WheelFit, groups: Groups) -> RadiusLaw:
     """Return the law of both wheels with the covariance between them.
 
-    The correlation is that of paired residuals, of runs and of sessions: the mean of both radii, or their difference,
-    has the variance that it shows if fitted by itself.
+    It comes from paired residuals, of runs and of sessions: mean and difference of both radii have the variance that a
+    fit of their own gives them.
     """
     wheels, estimates = (left, right), (left.estimate, right.estimate)
-    weight = np.sqrt(1.0 / (sessions.WORKING_RATIO + 1.0 / groups.sizes))
+    weight = np.sqrt(1.0 / (WORKING_RATIO + 1.0 / groups.sizes))
     means = [groups.means(wheel.residual_m) for wheel in wheels]
     by_session = all(estimate.dof_between > 0.0 for estimate in estimates)
-    shown = [groups.within(wheel.residual_m) if by_session else wheel.residual_m for wheel in wheels]
-    of_runs, of_sessions = _cosine(*shown), _cosine(*(weight * part for part in means)) if by_session else 0.0
-    alike = _cosine(*(wheel.load_N - wheel.load_N.mean() for wheel in wheels))
-    block = of_runs * _shared(estimates[0].cov_within, estimates[1].cov_within, alike)
-    block += of_sessions * _shared(estimates[0].cov_between, estimates[1].cov_between, alike)
+    residuals = [groups.within(wheel.residual_m) if by_session else wheel.residual_m for wheel in wheels]
+    of_runs, of_sessions = _cosine(*residuals), _cosine(*(weight * part for part in means)) if by_session else 0.0
+    of_loads = _cosine(*(wheel.load_N - wheel.load_N.mean() for wheel in wheels))
+    block = of_runs * _if_fully_correlated(estimates[0].cov_within, estimates[1].cov_within, of_loads)
+    block += of_sessions * _if_fully_correlated(estimates[0].cov_between, estimates[1].cov_between, of_loads)
     block += estimates[0].systematic.T @ estimates[1].systematic
     joint = RadiusLaw(left.law, right.law).covariance()
     joint[:2, 2:4], joint[2:4, :2] = block, block.T
@@ -347,13 +357,13 @@ def _cosine(one: FloatArray, other: FloatArray) -> float:
     return float(np.clip(one @ other / size, -1.0, 1.0)) if size > 0.0 else 0.0
 
 
-def _shared(one: FloatArray, other: FloatArray, alike: float) -> FloatArray:
-    # of fully correlated errors, (2, 2); alike: correlation of the loads
-    slopes, sizes = [], []
-    for own in (one, other):
-        slope = own[:, 1] / np.sqrt(own[1, 1]) if own[1, 1] > 0.0 else np.zeros(2)
+def _if_fully_correlated(left: FloatArray, right: FloatArray, of_loads: float) -> FloatArray:
+    # covariance between both wheels' coefficients, (2, 2), if runs erred alike; of_loads: correlation of their loads
+    slopes, means = [], []
+    for covariance in (left, right):
+        slope = covariance[:, 1] / np.sqrt(covariance[1, 1]) if covariance[1, 1] > 0.0 else np.zeros(2)
         slopes.append(slope)
-        sizes.append(max(own[0, 0] - slope[0] ** 2, 0.0))
-    shared = alike * np.outer(*slopes)
-    shared[0, 0] += np.sqrt(sizes[0] * sizes[1])
-    return np.asarray(shared)
+        means.append(max(covariance[0, 0] - slope[0] ** 2, 0.0))
+    between = of_loads * np.outer(*slopes)
+    between[0, 0] += np.sqrt(means[0] * means[1])
+    return np.asarray(between)

@@ -27,7 +27,7 @@ FORMAT: Final = "calib-fit/1"
 FIT_FILE: Final = "fit.json"
 RUNS_FILE: Final = "runs.csv"
 PLAUSIBLE: Final = "plausible"
-#: what ``calib fit --json`` adds for other programs; nothing here reads it
+#: keys that ``calib fit --json`` adds, outside the checksum
 _ADDED: Final = ("model_comparison",)
 STATED_SECTIONS: Final = ("report", "certificate")
 _WRITTEN: Final = ("simulated", "static", "notes", "setup", "provenance", "passed", "verdict")
@@ -56,7 +56,7 @@ class Setup:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Fit(Result):
-    """Both wheels' laws and all that report and export need."""
+    """Both wheels' laws, with all that reports and exports need."""
 
     name: str
     simulated: bool  #: true where a program made the data
@@ -70,7 +70,7 @@ class Fit(Result):
     provenance: Mapping[str, Any] = field(default_factory=dict)
     #: vehicle, instruments and conditions; None where the radii came from elsewhere than a campaign
     setup: Setup | None = None
-    accepted: str = ""  #: why the user passes on a law that failed the check ``plausible``; empty where it is refused
+    accepted: str = ""  #: the user's reason to use a law that failed the check ``plausible``; empty: it is refused
 
     @property
     def law(self) -> RadiusLaw:
@@ -273,7 +273,7 @@ class Difference:
 
     @property
     def inside(self) -> bool:
-        """Whether no difference lies within the interval."""
+        """Whether zero lies within the interval."""
         return abs(self.difference) <= self.half_width
 
 

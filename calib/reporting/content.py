@@ -162,7 +162,7 @@ def _without_law(
 #: ``module.function`` of `calib.reporting.topics`, in the order of the report; each is ``(source) -> Section | None``
 PAGES: Final = (
     "fit.result_section", "report.item_section", "report.method_section", "report.conditions_section",
-    "report.preparation_section", "runs.runs_section", "report.regression_section", "runs.deviation_section",
+    "report.preparation_section", "report.runs_section", "report.regression_section", "report.deviation_section",
     "fit.residuals_section", "report.coefficients_section", "report.budget_section", "fit.diagnosis_section",
     "fit.decision_section", "report.limits_section", "report.files_section", "report.missing_section",
 )  # fmt: skip

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.challenge.judge import APART, judge
+from calib.challenge.judge import RESOLVED_SIGMAS, judge
 from calib.challenge.score import open_truth
 from calib.gap.decision.confounding import TABLE
 
@@ -28,7 +28,7 @@ def statements(folder: Path) -> list[tuple[float, bool]]:
         verdict, truth = json.loads(path.read_text(encoding="utf-8")), truths[path.stem]
         if truth.recipe.group == "alias":
             continue
-        near = {name for name, distance in truth.rivals if distance < APART}
+        near = {name for name, distance in truth.rivals if distance < RESOLVED_SIGMAS}
         for (stated, held), cause in zip(judge(truth, verdict).statements, verdict.get("causes", ()), strict=True):
             if held or cause["effect"] not in near:
                 listed.append((float(np.interp(stated, TABLE[1], TABLE[0])), held))

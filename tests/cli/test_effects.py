@@ -12,7 +12,7 @@ import pytest
 from calib.cli.main import run
 from calib.gap.effects import quantities
 from calib.gap.effects.library import REGISTRY
-from calib.reporting.topics.diagnosis import size_text
+from calib.reporting.topics.runs import size_text
 
 DECLARED = """
 [[effects]]

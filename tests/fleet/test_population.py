@@ -11,9 +11,9 @@ from scipy.special import stdtr
 
 from calib.fleet import (
     Outlier,
-    any_false,
     difference_of,
     false_discovery,
+    familywise,
     moderated,
     outlying,
     population,
@@ -103,7 +103,7 @@ def test_drift_is_known_beside_the_scatter_of_the_whole_fleet(spread: float, lea
         own = np.sum((level - np.outer(rate, day)) ** 2, axis=1) / 3.0
         variance, dof = moderated(own, np.full(100, 3.0))
         assert (variance >= own).all()
-        stands = any_false(2.0 * stdtr(dof, -np.abs(rate) / np.sqrt(variance / 10.0))).reshape(50, 2).any(axis=1)
+        stands = familywise(2.0 * stdtr(dof, -np.abs(rate) / np.sqrt(variance / 10.0))).reshape(50, 2).any(axis=1)
         found, false = found + stands[:3].sum(), false + stands[3:].any()
     assert found / 600 > least
     assert false / 200 <= MOST_FALSE_FLEETS
@@ -112,7 +112,7 @@ def test_drift_is_known_beside_the_scatter_of_the_whole_fleet(spread: float, lea
 def test_equal_vehicles_differ_in_nothing() -> None:
     """Copies of one vehicle: no variance, no p-value, no finding, no warning."""
     difference = difference_of(np.full(12, 0.1), np.arange(12) < 6)
-    assert not any_false(np.array([difference.p_value])).any()
+    assert not familywise(np.array([difference.p_value])).any()
 
 
 def test_far_vehicles_do_not_hide_themselves() -> None:
@@ -156,7 +156,7 @@ def test_findings_stand_by_the_definitions_of_both_procedures() -> None:
         limit = ranked[below[-1]] if len(below) else -1.0
         assert np.array_equal(false_discovery(p, 0.01), p <= limit)
         steps = int(np.argmin(np.append(ranked <= 0.01 / np.arange(50, 0, -1), False)))
-        assert np.array_equal(np.sort(p)[:steps], np.sort(p[any_false(p, 0.01)]))
+        assert np.array_equal(np.sort(p)[:steps], np.sort(p[familywise(p, 0.01)]))
 
 
 def test_the_between_variance_is_that_of_statsmodels() -> None:

@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from calib.radius import moved_by, standing_out
+from calib.radius import deletion_effect, outliers
 from calib.radius.checks import with_checks
 from calib.radius.regression import FAILED, OK, fit_wheel
 
@@ -26,7 +26,7 @@ SCATTER_M = 1e-5
 
 def test_the_published_example_gives_the_published_statistics_and_outliers() -> None:
     n = len(ROSNER)
-    found = standing_out(np.full((n, 1), n**-0.5), ROSNER - ROSNER.mean(), 10)
+    found = outliers(np.full((n, 1), n**-0.5), ROSNER - ROSNER.mean(), 10)
     left = n - np.arange(10)
     size = np.array([t for _, t, _ in found])
     # of the studentised residual: the deviation in standard deviations of all that are left
@@ -79,7 +79,7 @@ def test_a_single_run_moves_the_line_by_its_distance_of_cook() -> None:
     _, load, radius = campaign(3, {7: 1e-4})
     fit = fit_wheel("left", load, radius, np.full(20, ""), reference_load_N=300.0)
     line = np.column_stack((np.ones(20), load - load.mean()))
-    off_m, moved, dof = moved_by(line, np.linalg.qr(line)[0], fit.residual_m, [7])
+    off_m, moved, dof = deletion_effect(line, np.linalg.qr(line)[0], fit.residual_m, [7])
     others = np.delete(np.arange(20), 7)
     slope, at_zero = np.polyfit(load[others], radius[others], 1)
     left = radius[others] - at_zero - slope * load[others]
@@ -95,8 +95,8 @@ def test_outliers_of_many_runs_take_memory_in_proportion_to_the_runs() -> None:
     line = np.column_stack((np.ones(n), np.linspace(-1.0, 1.0, n)))
     basis = np.linalg.qr(line)[0]
     tracemalloc.start()
-    out = [run for run, *_ in standing_out(basis, residual, 10)]
-    moved_by(line, basis, residual, out)
+    out = [run for run, *_ in outliers(basis, residual, 10)]
+    deletion_effect(line, basis, residual, out)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 100 * n * residual.itemsize

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.model import Campaign
-from calib.challenge.judge import NO_FAMILY
+from calib.challenge.judge import UNRELATED_FAMILIES
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.library import effect_class
 from calib.gap.observations.from_campaign import observations_of
@@ -105,7 +105,7 @@ def calibrated(campaign: Campaign) -> tuple[Campaign, dict[str, Any], FloatArray
 
 def _family(effect: str) -> str:
     family = effect_class(effect).family.value
-    return "" if family in NO_FAMILY else family
+    return "" if family in UNRELATED_FAMILIES else family
 
 
 def outcome_of(

@@ -19,8 +19,13 @@ from calib.reporting import Facts, Items, Notice, Section, Table, Text, catalogu
 from calib.reporting.content import PAGES, Report, compose
 from calib.reporting.source import OPTIONAL, STATED, Source, issue_date, opened, source_of
 from calib.reporting.topics.fit import residuals_picture, result_section, usable_notice
-from calib.reporting.topics.report import MOST_NOTES, coefficients_section, method_section, regression_section
-from calib.reporting.topics.runs import deviation_section
+from calib.reporting.topics.report import (
+    MOST_NOTES,
+    coefficients_section,
+    deviation_section,
+    method_section,
+    regression_section,
+)
 from calib.vehicle import Drive
 
 

@@ -18,8 +18,9 @@ from calib.reporting.content import compose
 from calib.reporting.formatting import to_text
 from calib.reporting.pages import blocks_html, to_pdf
 from calib.reporting.source import Source
-from calib.reporting.topics.diagnosis import diagnosis_content, next_runs_table, verdict_notice
+from calib.reporting.topics.diagnosis import diagnosis_content, verdict_notice
 from calib.reporting.topics.fit import diagnosis_section
+from calib.reporting.topics.runs import next_runs_table
 from tests.reporting.making import findings, with_findings
 
 

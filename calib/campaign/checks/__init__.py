@@ -14,9 +14,9 @@ from calib.campaign.wheels import logged_columns, odometry_source, on_one_axle
 from calib.types import FloatArray, IntArray, StrArray, grouped
 
 SIDES: Final = ("left", "right")
-#: at least so many runs make a finding one of the column
+#: fewest runs that a finding on a whole column rests on
 LEAST_RUNS: Final = 4
-#: share of the runs that makes a finding one of the column
+#: share of the runs beyond which a finding is on the column, not on each cell
 MOST_OF_THE_RUNS: Final = 0.8
 #: radius found over nominal -> what usually lies behind it
 RADIUS_FACTORS: Final = (
@@ -107,7 +107,7 @@ def turned_rad(campaign: Campaign, left: FloatArray | None = None, right: FloatA
     return (rolled_m(campaign, "right", right) - rolled_m(campaign, "left", left)) / campaign.vehicle.track_m
 
 
-#: wheels and reference agree on a heading to this
+#: headings of wheels and reference that differ by less, beside whole turns, agree
 _NEAR_TURN_RAD: Final = 1.0
 
 
@@ -117,15 +117,15 @@ def logged_turns(campaign: Campaign) -> FloatArray:
     for run, log in campaign.logs.each():
         if len(heading := log.get("ref_theta_rad", measured[:0])):
             steps = np.diff(np.unwrap(heading[np.isfinite(heading)]))
-            # between poses further apart it may have turned round any number of times
+            # with steps above 1 rad the number of turns is ambiguous
             measured[run] = steps.sum() if np.abs(steps).max(initial=0.0) < 1.0 else np.nan
     return measured
 
 
 def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
-    """Return how far the reference turned in each run, and the turns it is off the wheels, infinite where not whole.
+    """Return how far the reference turned in each run, and by how many turns the wheels differ; infinite if not whole.
 
-    Headings all within half a turn are unwrapped; on a map runs turned as their logs say.
+    Headings all within half a turn count as wrapped and are unwrapped; those on a map come from the logs.
     """
     measured, turned = campaign.runs.number("ref_theta_rad"), turned_rad(campaign)
     if campaign.reference.frame == "map":
@@ -133,7 +133,7 @@ def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     turns = np.round((turned - measured) / (2 * np.pi))
     near = np.abs(turned - measured - 2 * np.pi * turns) < _NEAR_TURN_RAD
     if (np.abs(measured[near]) <= np.pi + 0.05).all():
-        # what wheels a fifth off take for less than half a turn was not wrapped
+        # below 2.5 rad by the wheels, which may be 20 % off, the heading was not wrapped
         measured = measured + 2 * np.pi * np.where(near & (np.abs(turned) > 2.5), turns, 0.0)
         turns = 0.0 * turns
     return measured, np.where(near, turns, turns + math.inf)
@@ -153,42 +153,40 @@ def robust_spread(values: FloatArray) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values)))) if len(values) else 0.0
 
 
-#: fewer runs give no line, more nothing new
-LEAST_OF_A_LINE: Final = 8
-_MOST_OF_A_LINE: Final = 400
+#: fewest runs for a line, and most points that are paired for its slope
+MIN_LINE_RUNS: Final = 8
+_MAX_LINE_POINTS: Final = 400
 
 
-def slopes_of(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the slopes of pairs of points."""
-    step = 1 + len(x) // _MOST_OF_A_LINE
-    more, rise = (np.subtract.outer(values[::step], values[::step]) for values in (x, y))
-    return rise[more > 0.0] / more[more > 0.0]
+def pair_slopes(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the slopes between all pairs of points."""
+    step = 1 + len(x) // _MAX_LINE_POINTS
+    run, rise = (np.subtract.outer(values[::step], values[::step]) for values in (x, y))
+    return rise[run > 0.0] / run[run > 0.0]
 
 
-def off_line(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return `y` less its line in `x` by median slopes (Theil and Sen), of few runs less the median."""
+def line_residuals(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Return the residuals of `y` about its Theil-Sen line in `x`; with few runs, about the median."""
     known = np.isfinite(x + y)
-    slopes = slopes_of(x[known], y[known]) if known.sum() >= LEAST_OF_A_LINE else np.zeros(0)
+    slopes = pair_slopes(x[known], y[known]) if known.sum() >= MIN_LINE_RUNS else np.zeros(0)
     line = np.median(slopes) * np.where(np.isnan(x), np.median(x[known]), x) if len(slopes) else np.zeros(len(x))
     return y - line - (np.median((y - line)[known]) if known.any() else 0.0)
 
 
-def partial_slope(
-    measured: FloatArray, counted: FloatArray, nuisance: FloatArray, least: float = 0.0
-) -> tuple[float, float, float]:
-    """Return the slope of `measured` over `counted` beside nuisance columns, its standard error, degrees of freedom.
+def partial_slope(y: FloatArray, x: FloatArray, nuisance: FloatArray, least: float = 0.0) -> tuple[float, float, float]:
+    """Return the partial regression slope of `y` on `x` beside nuisance columns, its standard error and its dof.
 
-    0 and infinite where these leave too little of it.
+    Slope 0 and an infinite error where the root mean square of `x` beside them is `least` or less.
     """
     regressors = nuisance / np.maximum(np.abs(nuisance).max(axis=0), 1e-300)
-    both = np.column_stack([counted, measured])
+    both = np.column_stack([x, y])
     explained, _, rank, _ = np.linalg.lstsq(regressors, both, rcond=1e-9)
-    counted, measured = (both - regressors @ explained).T
-    dof, square = len(measured) - int(rank) - 1, float(counted @ counted)
-    if dof < 1 or square <= least**2 * len(counted):
+    x, y = (both - regressors @ explained).T
+    dof, square = len(y) - int(rank) - 1, float(x @ x)
+    if dof < 1 or square <= least**2 * len(x):
         return 0.0, math.inf, 1.0
-    slope = float(counted @ measured) / square
-    residual = measured - slope * counted
+    slope = float(x @ y) / square
+    residual = y - slope * x
     return slope, math.sqrt(float(residual @ residual) / dof / square), float(dof)
 
 
@@ -204,8 +202,8 @@ def load_label(campaign: Campaign) -> StrArray:
     return np.asarray(["/".join(f"{value:g}" for value in row) for row in zip(*columns, strict=True)], dtype=np.str_)
 
 
-def groups_of(labels: StrArray) -> Iterator[tuple[str, IntArray]]:
-    """Return each label and the numbers of its runs."""
+def runs_by_label(labels: StrArray) -> Iterator[tuple[str, IntArray]]:
+    """Yield each label with the indices of its runs."""
     runs = grouped((label, run) for run, label in enumerate(labels.tolist()))
     return ((name, np.array(runs[name])) for name in sorted(runs))
 
@@ -217,8 +215,8 @@ def listed(names: StrArray | list[str], limit: int = 6) -> str:
 
 
 def meaning(ratio: float, factors: Sequence[tuple[float, str]] = RADIUS_FACTORS, tolerance: float = 0.07) -> str:
-    """Return what lies behind the factor within a relative `tolerance` of a ratio; empty where none is."""
-    factor, text = min(factors, key=lambda known: abs(ratio / known[0] - 1))
+    """Return the cause of the factor nearest to a ratio; empty where none is within a relative `tolerance`."""
+    factor, text = min(factors, key=lambda entry: abs(ratio / entry[0] - 1))
     return text if abs(ratio / factor - 1) < tolerance else ""
 
 
@@ -227,7 +225,7 @@ def stated(campaign: Campaign, key: str) -> bool:
     return not {key, key.partition(".")[0]} & set(campaign.assumed)
 
 
-#: keys that every radius or path scales with
+#: keys that scale every radius or path
 WEIGHTY: Final = ("vehicle.track_m", "vehicle.wheel_radius_m", "encoder.counts_per_rev")
 #: section -> columns of the run table or of logs that make its values matter
 _NEEDED_BY: Final = {"rangefinder": ("distance_m",), "reference": REFERENCE_POSE}
@@ -258,16 +256,19 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
         yield Note("suspicious" if set(WEIGHTY) & set(keys) else "info", "campaign.toml", text, "assumed")
 
 
-#: squared correlation with the load, beyond which what stays within a covariate's interval moves the slope beyond its
-HIDING: Final = 0.5
-#: runs that carry a law
+#: squared correlation with the load beyond which an effect within a covariate's interval may move the slope beyond its
+#: own
+MAX_LOAD_R2: Final = 0.5
+#: fewest runs for a law
 FEWEST_OF_A_LAW: Final = 3
 
 
 def sessions_of_loads(campaign: Campaign) -> list[str]:
     """Return the sessions that have two loads or more."""
     label = load_label(campaign)
-    return [str(name) for name, runs in groups_of(campaign.runs.label("session")) if len(np.unique(label[runs])) > 1]
+    return [
+        str(name) for name, runs in runs_by_label(campaign.runs.label("session")) if len(np.unique(label[runs])) > 1
+    ]
 
 
 def load_and_session(campaign: Campaign) -> Iterator[Note]:
@@ -287,38 +288,39 @@ def load_and_session(campaign: Campaign) -> Iterator[Note]:
     session, loads = campaign.runs.label("session"), both_sides(campaign, "load_{}_N")
     for name, values, cause, remedy in (
         ("order", np.arange(float(len(label))), "warming up", "loads in mixed order"),
-        ("direction", way(campaign.runs.label("direction")), "drag one way", "each load both ways"),
+        ("direction", direction_sign(campaign.runs.label("direction")), "drag one way", "each load both ways"),
     ):
-        if any(along_load(load, values, session)[0] ** 2 > HIDING for load in loads):
+        if any(covariate_against_load(load, values, session)[0] ** 2 > MAX_LOAD_R2 for load in loads):
             text = f"""the loads go with the {name} driven, so that {cause} and the effect of the load cannot be told
                 apart; drive {remedy}"""
             yield column_note(f"{name} and load", text, "ordered_load")
 
 
-def way(direction: StrArray) -> FloatArray:
-    """Return 1 for runs driven out, -1 for runs driven back, NaN for others."""
+def direction_sign(direction: StrArray) -> FloatArray:
+    """Return 1 for runs out, -1 for runs back, NaN for others."""
     name = np.char.lower(direction)
     return np.where(name == "out", 1.0, np.where(name == "back", -1.0, np.nan))
 
 
-def along_load(load_N: FloatArray, values: FloatArray, session: StrArray) -> tuple[float, float]:
+def covariate_against_load(load_N: FloatArray, values: FloatArray, session: StrArray) -> tuple[float, float]:
     """Return a covariate's correlation with the load within sessions, and its change per newton."""
     known = np.isfinite(load_N + values)
     columns = np.stack((load_N, values))[:, known]
-    for _, of in groups_of(session[known]) if known.any() else ():
+    for _, of in runs_by_label(session[known]) if known.any() else ():
         columns[:, of] -= columns[:, of].mean(axis=1, keepdims=True)
-    (square, both), (_, own) = (columns @ columns.T).tolist()
-    return (both / math.sqrt(square * own), both / square) if square * own > 0.0 else (0.0, 0.0)
+    (of_load, product), (_, of_values) = (columns @ columns.T).tolist()
+    both = of_load * of_values
+    return (product / math.sqrt(both), product / of_load) if both > 0.0 else (0.0, 0.0)
 
 
-#: squared correlation beyond which two columns are one: both effects' intervals are five times as wide
-_AS_ONE: Final = 0.96
-#: least change of a column that a diagnosis explains runs by: a hall's temperature changes by 1 K a day
-_CHANGED: Final = {"load": 20.0, "speed": 0.02, "temperature": 2.0, "order of the sessions": 0.5, "direction": 0.5}
+#: squared correlation beyond which two columns are collinear: their effects' intervals are five times as wide
+_COLLINEAR_R2: Final = 0.96
+#: column -> smallest range that a diagnosis explains runs by: a hall changes by 1 K a day
+_MIN_CHANGE: Final = {"load": 20.0, "speed": 0.02, "temperature": 2.0, "order of the sessions": 0.5, "direction": 0.5}
 
 
 def columns_as_one(campaign: Campaign) -> Iterator[Note]:
-    """Say where two of load, speed, temperature, order of the sessions and direction change together."""
+    """Say which two of load, speed, temperature, order of the sessions and direction are collinear."""
     runs = campaign.runs
     _, first, session = np.unique(runs.label("session"), return_index=True, return_inverse=True)
     values = (
@@ -326,14 +328,16 @@ def columns_as_one(campaign: Campaign) -> Iterator[Note]:
         np.abs(runs.number("speed_mps")),
         runs.number("temperature_C"),
         np.argsort(np.argsort(first))[session].astype(float),
-        way(runs.label("direction")),
+        direction_sign(runs.label("direction")),
     )
-    for (one, a), (other, b) in combinations(zip(_CHANGED, values, strict=True), 2):
+    for (one, a), (other, b) in combinations(zip(_MIN_CHANGE, values, strict=True), 2):
         known = np.isfinite(a + b)
-        if known.sum() < LEAST_RUNS or not (np.ptp(a[known]) > _CHANGED[one] and np.ptp(b[known]) > _CHANGED[other]):
+        if known.sum() < LEAST_RUNS or (one, other) == ("load", "order of the sessions"):
+            continue
+        if np.ptp(a[known]) <= _MIN_CHANGE[one] or np.ptp(b[known]) <= _MIN_CHANGE[other]:
             continue
         within = runs.label("kind") if other == "direction" else np.full(len(a), "")
-        if (one, other) != ("load", "order of the sessions") and along_load(a, b, within)[0] ** 2 > _AS_ONE:
+        if covariate_against_load(a, b, within)[0] ** 2 > _COLLINEAR_R2:
             text = f"""{one} and {other} change together, so that no diagnosis tells apart what they do; drive some runs
                 that change one alone"""
             yield column_note(f"{one} and {other}", text, "columns_as_one")
@@ -360,7 +364,7 @@ def few_loads(campaign: Campaign) -> Iterator[Note]:
             yield column_note(f"load_{side}_N", f"{_FEW_LOADS[number]}; drive three loads or more", "few_loads")
 
 
-#: no two runs agree by chance in all values to this share of the uncertainty; rounded anew, the same values do
+#: share of the uncertainty within which pasted values agree, and no two measurements in all
 _SAME_VALUE: Final = 0.01
 
 

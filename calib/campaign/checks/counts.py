@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.campaign import checks
 from calib.campaign.checks.measurements import factor_reason, odd_sessions
-from calib.campaign.checks.poses import POSITION_UNITS
+from calib.campaign.checks.poses import position_unit_hint
 from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS
 from calib.campaign.model import Campaign, Note
@@ -16,20 +16,20 @@ from calib.campaign.read import log_totals
 from calib.campaign.wheels import steered_itself_m
 from calib.types import BoolArray, ComplexArray, FloatArray
 
-_PLAUSIBLE: Final = 0.15  #: a radius of one run this far from nominal is reported
-#: no wear and no load explains that every run is further from the nominal radius alike
-_WORN: Final = 0.06
-#: loads within this share are alike
-_ALIKE: Final = 0.05
+#: largest relative departure from the nominal radius: of a single run, and of all runs alike, by wear and load
+_MAX_RUN_DEPARTURE: Final = 0.15
+_MAX_WEAR: Final = 0.06
+#: loads within this share are equal
+_EQUAL_LOADS: Final = 0.05
 
 
 def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
     """Find wheels that count backwards although the vehicle drives forward."""
     runs = campaign.runs
-    # where its end pose is behind its start, the vehicle drove backward
-    moved = (runs.number("distance_m") > 1.0) & ~(runs.number("ref_x_m") < 0.0)
-    backward = {side: (runs.number(f"counts_{side}") < 0) & moved for side in checks.SIDES}
-    if whole := [side for side in checks.SIDES if backward[side].sum() > checks.MOST_OF_THE_RUNS * moved.sum()]:
+    # the vehicle itself drove backward where its end pose is behind its start
+    forward = (runs.number("distance_m") > 1.0) & ~(runs.number("ref_x_m") < 0.0)
+    backward = {side: (runs.number(f"counts_{side}") < 0) & forward for side in checks.SIDES}
+    if whole := [side for side in checks.SIDES if backward[side].sum() > checks.MOST_OF_THE_RUNS * forward.sum()]:
         text = f"""the {" and ".join(whole)} wheel counts backwards in {int(backward[whole[0]].sum())} runs that drive
             forward; negate the column, or correct the encoder's direction"""
         yield checks.column_note(", ".join(f"counts_{side}" for side in whole), text, "reversed_wheels")
@@ -40,7 +40,7 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
 
 
 def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
-    """Find wheels that rolled alike in every run."""
+    """Find a vehicle that steered by its own counts: its wheels rolled alike in every run."""
     if (apart_m := steered_itself_m(campaign)) >= 0.0:
         text = f"""the wheels of all runs along a line rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems
             to have steered by its own counts, which hides what its radii differ by; measure ref_theta_rad at the end"""
@@ -49,13 +49,14 @@ def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
 
 def dead_counters(campaign: Campaign) -> Iterator[Note]:
     """Find wheels without a count while the vehicle moves."""
+    # not a turn about the standing wheel, as reference or distance say
     runs, turn, reference = campaign.runs, checks.turned_rad(campaign), checks.reference_turns(campaign)[0]
-    otherwise = np.abs(turn - reference) > 0.5 * np.abs(turn)
-    otherwise |= (runs.number("distance_m") > 1.0) & np.isnan(reference)
+    moved = np.abs(turn - reference) > 0.5 * np.abs(turn)
+    moved |= (runs.number("distance_m") > 1.0) & np.isnan(reference)
     for side, other in (checks.SIDES, checks.SIDES[::-1]):
         counts = runs.number(f"counts_{other}")
         turned = np.abs(counts) > campaign.encoder.per_rev(other)
-        dead = (runs.number(f"counts_{side}") == 0.0) & turned & otherwise
+        dead = (runs.number(f"counts_{side}") == 0.0) & turned & moved
         remedy = "expected counts of both wheels; check encoder, cable and column, or exclude"
         if dead.sum() > max(1.0, checks.MOST_OF_THE_RUNS * turned.sum()):
             text = f"found 0 counts in {int(dead.sum())} runs in which the {other} wheel counts; {remedy} them"
@@ -72,10 +73,10 @@ def count_scale(campaign: Campaign) -> Iterator[Note]:
         ratio = np.abs(checks.raw_radius_ratio(campaign, side))
         if not (known := np.isfinite(ratio)).any():
             continue
-        odd = known & (np.abs(ratio - 1) > _PLAUSIBLE)
+        odd = known & (np.abs(ratio - 1) > _MAX_RUN_DEPARTURE)
         usual = float(np.nanmedian(ratio))
         alike = checks.robust_spread(ratio) < 0.02 * usual
-        if alike and abs(usual - 1) > _WORN and checks.stated(campaign, "vehicle.wheel_radius_m"):
+        if alike and abs(usual - 1) > _MAX_WEAR and checks.stated(campaign, "vehicle.wheel_radius_m"):
             odd = known
         if alike and odd.sum() > checks.MOST_OF_THE_RUNS * known.sum():
             text = f"""the {side} wheel's radius is {usual:.4g} times the nominal one in nearly every run;
@@ -122,18 +123,19 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
 
 
 def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
-    """Find runs of which minus the logarithm of right over left counts fits the loads, and the logarithm does not."""
+    """Find runs whose ratio of right to left counts fits the loads only with the wheels swapped."""
     left, right = (campaign.runs.number(f"counts_{side}") / campaign.encoder.per_rev(side) for side in checks.SIDES)
     usable = np.flatnonzero((left > 0) & (right > 0) & (campaign.runs.number("distance_m") > 1.0))
     if len(usable) < 5:
         return
     ratio, loads = np.log(right[usable] / left[usable]), checks.both_sides(campaign, "load_{}_N")[:, usable].T
-    away = checks.off_line(loads.sum(axis=1), checks.off_line(loads[:, 0] - loads[:, 1], ratio))
+    away = checks.line_residuals(loads.sum(axis=1), checks.line_residuals(loads[:, 0] - loads[:, 1], ratio))
     fitted, spread = ratio - away, max(checks.robust_spread(away), 2e-5)
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
     for at in np.flatnonzero(mirrored):
-        alike = ~(np.abs(loads - loads[at]) > _ALIKE * loads[at]).any(axis=1)
-        if alike.sum() > 1 and abs(ratio[at] - np.median(ratio[alike])) < 8 * spread:
+        # other runs of these loads have the same ratio: not this run is swapped
+        equal = ~(np.abs(loads - loads[at]) > _EQUAL_LOADS * loads[at]).any(axis=1)
+        if equal.sum() > 1 and abs(ratio[at] - np.median(ratio[equal])) < 8 * spread:
             continue
         text = f"""right over left is {math.exp(ratio[at]):.5f}; expected {math.exp(fitted[at]):.5f}, as in the other
             runs; left and right look swapped; check this run (when it is ingested: swapped = [...] in the mapping's
@@ -159,20 +161,20 @@ def turn_direction(campaign: Campaign) -> Iterator[Note]:
     yield from _turns(campaign, clear, against, "steer_rad", "the steering angle turns the other way")
 
 
-def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str, what: str) -> Iterator[Note]:
+def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str, finding: str) -> Iterator[Note]:
     columns = f"counts_left, counts_right, {column}"
     if against.sum() > max(1.0, checks.MOST_OF_THE_RUNS * clear.sum()):
         text = f"""in {int(against.sum())} of {int(clear.sum())} turning runs
-            ({checks.listed(campaign.runs.run_id[against])}) {what}; left and right look swapped throughout, or the
+            ({checks.listed(campaign.runs.run_id[against])}) {finding}; left and right look swapped throughout, or the
             reference counts clockwise"""
         yield checks.column_note(columns, text, "swapped_wheels")
         return
     for run in np.flatnonzero(against):
-        text = f"{what} than the counts say; left and right look swapped in this run"
+        text = f"{finding} than the counts say; left and right look swapped in this run"
         yield checks.cell_note(campaign, int(run), columns, text, "swapped_wheels")
 
 
-#: DAQ programs sample at up to 100 kHz; days taken for seconds are below
+#: DAQ programs sample at up to 100 kHz; smaller steps are days taken for seconds
 SHORTEST_STEP_S: Final = 9e-6
 
 
@@ -197,7 +199,7 @@ def clock(campaign: Campaign) -> Iterator[Note]:
             continue
         moved = np.sum([np.abs(np.diff(log[name])) for name in log if name.startswith("counts_")], axis=0)
         rate = float(np.median((moved / np.where(step > 0, step, np.nan))[step > 0]))
-        # while driving, a real gap holds the counts of its time
+        # while driving, a gap holds the counts of its duration, a jump of the clock those of one sample
         jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at]]
         jumped = [at for at in jumped if moved[max(0, at - 3) : at].any() and moved[at + 1 : at + 4].any()]
         if gaps := [at for at in long if at not in jumped]:
@@ -227,24 +229,25 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
         for name in (name for name in log if name.startswith("counts_")):
             counted = np.diff(log[name])
             usual = float(np.percentile(np.abs(counted / stretch), 95))
-            most = (6 * usual + 50) * stretch
-            far = np.flatnonzero(np.abs(counted) > most)
+            limit = (6 * usual + 50) * stretch
+            far = np.flatnonzero(np.abs(counted) > limit)
             if 0 < len(far) <= max(5, 0.01 * len(counted)):
                 first, span = float(counted[far[0]]), np.ptp(log[name])
                 cause = "the encoder may have lost contact, or the counter was reset"
-                if bits := next((b for b in WIDTHS if span < 2.0**b and abs(abs(first) - 2.0**b) < most[far[0]]), None):
+                near = [b for b in WIDTHS if span < 2.0**b and abs(abs(first) - 2.0**b) < limit[far[0]]]
+                if bits := next(iter(near), None):
                     cause = f"a {bits}-bit counter overflows so; give encoder.wrap_bits = {bits} to have them undone"
                 text = f"""{len(far)} jump(s), first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} are
                     usual; {cause}"""
                 yield checks.cell_note(campaign, run, f"log {name}", text, "count_jump")
 
 
-#: speeds of vehicles, in m/s: slower ones are measured by no wheel, faster ones in no hall or yard
-_DRIVEN_MPS: Final = (0.005, 30.0)
+#: slowest and fastest plausible speed of a vehicle
+_PLAUSIBLE_MPS: Final = (0.005, 30.0)
 
 
 def _speed_note(speed: float) -> Iterator[Note]:
-    low, high = _DRIVEN_MPS
+    low, high = _PLAUSIBLE_MPS
     if not low <= speed <= high:
         units = (CLOCK_FACTORS if speed < low else {1.0 / 86400.0: "days"}).items()
         unit = next((f"is it in {unit}?" for factor, unit in units if low <= speed * factor <= high), "check its unit")
@@ -275,29 +278,29 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
         yield checks.column_note("speed_mps", text, "speed_disagrees")
 
 
-#: so often in a log, between steps alike to this share and of so many counts, a wheel does not stop and start at once
-_STOPS, _ALIKE_STEPS, _ROLLING = 5, 0.25, 20
-_GAP: Final = 1.5  #: steps so much longer than usual lack a row
+#: fewest interruptions of a log; at each, largest relative change of the counts a sample and their least number: no
+#: wheel stops and starts within a sample
+_MIN_INTERRUPTIONS, _MAX_STEP_CHANGE, _MIN_STEP_COUNTS = 5, 0.25, 20
+_GAP: Final = 1.5  #: time steps that lack a row, over the usual one
 
 
 def interrupted_counts(campaign: Campaign) -> Iterator[Note]:
-    """Yield counts that stand still again and again at full speed, or lack rows, and are never made up for."""
-    for lost, what, why in (
+    """Yield counts that stand still, or rows that are missing, again and again at full speed, never made up for."""
+    for interruptions, what, why in (
         (_interruptions, "the counts stand still", "steps are lost before they are added up: check encoder and cable"),
         (_missing_rows, "rows are missing", "increments of a missing row are in no other"),
     ):
         stops = {name: list[tuple[int, float]]() for name in campaign.logs.columns if name.startswith("counts_")}
-        n_logs = 0
+        n_logs = int((campaign.logs.lengths >= 20).sum())
         for _, log in campaign.logs.each(20):
-            n_logs += 1
             for name in stops.keys() & log.keys():
-                times, share = lost(np.abs(np.diff(log[name])), log)
-                stops[name] += [(times, share)] if times >= _STOPS else []
+                times, share = interruptions(np.abs(np.diff(log[name])), log)
+                stops[name] += [(times, share)] if times >= _MIN_INTERRUPTIONS else []
         odd = [name for name in stops if len(stops[name]) >= max(checks.LEAST_RUNS, checks.MOST_OF_THE_RUNS * n_logs)]
         if odd:
             times, share = np.median([each for name in odd for each in stops[name]], axis=0)
-            some = max(len(stops[name]) for name in odd)
-            text = f"""{what} {times:.0f} times a log, for {100 * share:.2g} % of the way, in {some} of {n_logs} logs,
+            n_odd = max(len(stops[name]) for name in odd)
+            text = f"""{what} {times:.0f} times a log, for {100 * share:.2g} % of the way, in {n_odd} of {n_logs} logs,
                 between samples at full speed; expected counts as long as it rolls; {why}; log the total"""
             yield checks.implausible_column(", ".join(odd), text, of="logs")
 
@@ -308,42 +311,40 @@ def _missing_rows(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int,
     gaps = np.flatnonzero(step_s[1:-1] > _GAP * usual_s) + 1
     before, after = (step[gaps + side] / np.maximum(step_s[gaps + side], 1e-12) for side in (-1, 1))
     rate, counted = 0.5 * (before + after), float(step[gaps].sum())
-    # late steps hold as many counts as others, not those of their time
-    through, once = float(rate @ step_s[gaps]), float(rate.sum()) * usual_s
-    # as many short steps as long ones: stamps that scatter
-    late = len(gaps) > 2 * (step_s < (2.0 - _GAP) * usual_s).sum()
-    lost = late and _ROLLING * len(gaps) < 2.0 * once and counted < 0.5 * (through + once)
-    return (len(gaps), (through - counted) / float(step.sum())) if lost else (0, 0.0)
+    # counts expected in the gaps: of their whole duration, and of one sample, where the other rows' are lost
+    whole, single = float(rate @ step_s[gaps]), float(rate.sum()) * usual_s
+    # scattering time stamps have as many short steps as long ones
+    missing = len(gaps) > 2 * (step_s < (2.0 - _GAP) * usual_s).sum()
+    lost = missing and _MIN_STEP_COUNTS * len(gaps) < 2.0 * single and counted < 0.5 * (whole + single)
+    return (len(gaps), (whole - counted) / float(step.sum())) if lost else (0, 0.0)
 
 
 def _interruptions(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int, float]:
     edge = np.diff(np.concatenate([[True], step != 0.0, [True]]).astype(np.int8))
-    # of samples without a count, the first one and the one after the last; none at an end of the log
+    # stretches without a count: first sample, and the one after the last; none at an end of the log
     first, after = np.flatnonzero(edge == -1), np.flatnonzero(edge == 1)
     inner = (first > 0) & (after < len(step))
     first, after = first[inner], after[inner]
     least, most = np.sort([step[first - 1], step[after]], axis=0)
-    fast = least >= max(_ROLLING, 0.5 * float(np.median(step[step > 0]))) if len(first) else least > 0.0
+    fast = least >= max(_MIN_STEP_COUNTS, 0.5 * float(np.median(step[step > 0]))) if len(first) else least > 0.0
     x = log.get("ref_x_m", np.full(len(step) + 1, math.nan))
     y = log.get("ref_y_m", x)
     stood = (x[after] == x[first]) & (y[after] == y[first])
-    kept = (most - least <= _ALIKE_STEPS * most) & fast & ~stood
-    lost = float((after - first)[kept].sum())
-    return int(kept.sum()), lost / (float((step > 0).sum()) + lost) if lost else 0.0
+    interrupted = (most - least <= _MAX_STEP_CHANGE * most) & fast & ~stood
+    lost = float((after - first)[interrupted].sum())
+    return int(interrupted.sum()), lost / (float((step > 0).sum()) + lost) if lost else 0.0
 
 
-#: steps a log is looked at in
+#: steps into which a log is thinned
 _STEPS: Final = 50
-#: a step that turns by less is as long as its chord
+#: largest turn in a step whose chord counts as its length
 _STRAIGHT_RAD: Final = 0.3
-#: width over length of a path: of an area, of a line
+#: width over length: above, a path covers an area; below, it is a line
 _AREA, _LINE = 0.2, 0.02
-#: scatter of positions over what the wheels rolled: half of it where an axis is missing, hundredths where none is
+#: relative scatter of reference over wheels: 0.5 where an axis is missing, hundredths where none is
 _UNEVEN: Final = 0.2
-#: positions over what the wheels rolled; far less than any factor of counts makes of it
+#: plausible ratio of reference to wheels; wrong counts alone make less of it
 _MOST_RATIO, _LEAST_RATIO = 3.0, 0.02
-#: of degrees on the globe, over a metre: 9e-6 by latitude
-_OF_A_DEGREE: Final = 1e-4
 
 
 def implausible_paths(campaign: Campaign) -> Iterator[Note]:
@@ -366,7 +367,7 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
         ratios[run] = np.median(ratio) if straight.any() else np.nan
         length, width = _length_and_width(position)
         alike += [bool((left == right)[known].all())] if width > _AREA * length and rolled.any() else []
-        # of a path that bends one axis moves at another speed than the wheels; wrong counts bend a straight one evenly
+        # on a bent path a missing axis shows as an uneven ratio
         long, wide = _length_and_width(np.cumsum(rolled * np.exp(0.5j * (turned[1:] + turned[:-1]))))
         if wide > _AREA * long and straight.any() and np.std(ratio) > _UNEVEN * np.mean(ratio):
             lines.append(width < _LINE * length)
@@ -381,16 +382,14 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
     stated = all(checks.stated(campaign, key) for key in ("vehicle.wheel_radius_m", "encoder.counts_per_rev"))
     known = ratios[np.isfinite(ratios)]
     ratio = float(np.median(known)) if stated and len(known) >= checks.LEAST_RUNS else 1.0
+    texts = []
     if ratio > _MOST_RATIO or 0.0 < ratio < _LEAST_RATIO:
-        unit = checks.meaning(ratio, POSITION_UNITS)
-        unit = "degrees of latitude and longitude" if ratio < _OF_A_DEGREE else unit
-        hint = f"are they in {unit}?" if unit else "check their unit, wheel_radius_m and counts_per_rev"
-        text = f"positions along the path move {ratio:.3g} times as far as the wheels; expected as far; {hint}"
-        yield checks.implausible_column("ref_x_m, ref_y_m", text, of="logs")
+        hint = position_unit_hint(ratio, "check their unit, wheel_radius_m and counts_per_rev")
+        texts = [f"positions along the path move {ratio:.3g} times as far as the wheels; expected as far; {hint}"]
     for name, ratio in odd_sessions(campaign, ratios):
-        unit = checks.meaning(ratio, POSITION_UNITS)
-        hint = f"are they in {unit}?" if unit else factor_reason(ratio)
-        text = f"in session {name} positions along the path move {ratio:.3g} times as far as in most runs; {hint}"
+        moved = f"positions along the path move {ratio:.3g} times as far as in most runs"
+        texts.append(f"in session {name} {moved}; {position_unit_hint(ratio, factor_reason(ratio))}")
+    for text in texts:
         yield checks.implausible_column("ref_x_m, ref_y_m", text, of="logs")
 
 

@@ -1,4 +1,4 @@
-"""Distances and wheel loads: present, in their unit, permitted, consistent with each other and the vehicle."""
+"""Distances and wheel loads: missing, in another unit, beyond limits, or inconsistent with payload and vehicle."""
 
 import math
 from collections.abc import Iterator
@@ -60,7 +60,7 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
     """Compare the table's distance with the last range of the log."""
     distance = campaign.runs.number("distance_m")
     allowed = max(0.02, 8 * campaign.rangefinder.sigma_m)
-    far: dict[int, float] = {}
+    starts_m: dict[int, float] = {}
     for run, log in campaign.logs.each(2, "range_m"):
         known = log["range_m"][np.isfinite(log["range_m"])]
         if len(outside := known[(known < -0.5) | (known > campaign.rangefinder.max_m)]):
@@ -70,20 +70,20 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
             text = f"found {distance[run]:.4f} m; the log ends at {known[-1]:.4f} m; the log may be cut"
             yield checks.cell_note(campaign, run, "distance_m", text, "distance_disagrees")
         elif abs(known[0]) > allowed and abs(distance[run] - known[-1]) <= allowed:
-            far[run] = float(known[0])
-    if far:
-        text = f"""{len(far)} log(s) begin at {min(far.values()):.4g} to {max(far.values()):.4g} m, by which their
-            distances are too long ({checks.listed(campaign.runs.run_id[[*far]])}); expected distances from the start:
-            subtract the first reading (from_start = true in a mapping)"""
+            starts_m[run] = float(known[0])
+    if starts_m:
+        text = f"""{len(starts_m)} log(s) begin at {min(starts_m.values()):.4g} to {max(starts_m.values()):.4g} m, by
+            which their distances are too long ({checks.listed(campaign.runs.run_id[[*starts_m]])}); expected distances
+            from the start: subtract the first reading (from_start = true in a mapping)"""
         yield implausible_column("range_m", text, of="logs")
 
 
-#: a measured radius, track or load is within this factor of its nominal value
+#: factor within which a measured radius, track or load is of its nominal value
 MOST_RATIO: Final = 4.0 / 3.0
 
 
-def off(ratio: float) -> bool:
-    """Return whether a ratio of measured to nominal value is beyond `MOST_RATIO`."""
+def implausible_ratio(ratio: float) -> bool:
+    """Return whether a ratio of measured to nominal value is beyond `MOST_RATIO` either way."""
     return not 1 / MOST_RATIO <= ratio <= MOST_RATIO
 
 
@@ -94,10 +94,11 @@ def factor_reason(ratio: float) -> str:
 
 
 def odd_sessions(campaign: Campaign, ratio: FloatArray) -> Iterator[tuple[str, float]]:
-    """Yield sessions whose ratios are off those of all runs, shape (n_runs,), and by what factor."""
-    for name, runs in checks.groups_of(campaign.runs.label("session")):
-        there = ratio[runs][ratio[runs] > 0.0]
-        if len(there) >= LEAST_RUNS and off(factor := float(np.median(there) / np.median(ratio[ratio > 0.0]))):
+    """Yield sessions whose median ratio is implausible beside that of all runs, (n_runs,), with the factor between."""
+    for name, runs in checks.runs_by_label(campaign.runs.label("session")):
+        known = ratio[runs][ratio[runs] > 0.0]
+        factor = float(np.median(known) / np.median(ratio[ratio > 0.0])) if len(known) >= LEAST_RUNS else 1.0
+        if implausible_ratio(factor):
             yield name, factor
 
 
@@ -111,15 +112,15 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
         good = np.isfinite(ratio) & (ratio > 0)
         if good.sum() >= LEAST_RUNS:
             usual = float(np.median(ratio[good]))
-            if off(usual) and checks.stated(campaign, "vehicle.wheel_radius_m"):
+            if implausible_ratio(usual) and checks.stated(campaign, "vehicle.wheel_radius_m"):
                 text = f"the {side} wheel's radius comes out {usual:.2f} times nominal: {factor_reason(usual)}"
                 yield implausible_column(f"counts_{side}", text)
             for name, factor in odd_sessions(campaign, np.where(good, ratio, np.nan)):
                 text = f"""in session {name} the {side} wheel's radius comes out {factor:.3g} times that of most runs:
                     {factor_reason(factor)}"""
                 yield implausible_column(f"counts_{side}", text)
-            far = np.log(np.abs(distance), where=good, out=distance * np.nan)
-            yield from _scatter(np.log(ratio[good]), far, good, side, campaign.runs.number(f"load_{side}_N")[good])
+            log_distance = np.log(np.abs(distance), where=good, out=distance * np.nan)
+            yield from _scatter(np.log(ratio[good]), log_distance, good, side, campaign.runs.number(f"load_{side}_N"))
         both = np.isfinite(counts[side] + counts[other]) & (distance > 1)
         if both.sum() >= LEAST_RUNS and (counts[side][both] < 0).all() and (counts[other][both] > 0).all():
             text = f"the {side} wheel counts backwards in every straight run, the {other} one forwards"
@@ -133,13 +134,15 @@ def implausible_distances(campaign: Campaign) -> Iterator[Note]:
         yield implausible_column("distance_m", text)
 
 
-def _scatter(radius: FloatArray, distance: FloatArray, good: BoolArray, side: str, load: FloatArray) -> Iterator[Note]:
-    spread = checks.robust_spread(checks.off_line(load, radius))
-    if len(radius) < 3 or spread < 0.01:
+def _scatter(
+    log_radius: FloatArray, log_distance: FloatArray, good: BoolArray, side: str, load: FloatArray
+) -> Iterator[Note]:
+    spread = checks.robust_spread(checks.line_residuals(load[good], log_radius))
+    if len(log_radius) < 3 or spread < 0.01:
         return
     for shift in (1, -1):
-        moved = (np.roll(distance, shift) - distance)[good] + radius
-        again = checks.robust_spread(checks.off_line(load, moved)[1:-1])
+        moved = (np.roll(log_distance, shift) - log_distance)[good] + log_radius
+        again = checks.robust_spread(checks.line_residuals(load[good], moved)[1:-1])
         if again < 0.2 * spread and np.isfinite(moved[1:-1]).sum() > 2:
             text = f"""the {side} wheel's radius scatters by {100 * spread:.2g} %, but by {100 * again:.2g} % with each
                 distance one row on; expected distance and counts of the same run in a row; is the column shifted?"""
@@ -158,8 +161,8 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
     """Find loads that no rolling wheel has, or beyond the permitted one."""
     loads, permitted = checks.both_sides(campaign, "load_{}_N"), campaign.vehicle.max_wheel_load_N
     if permitted == Vehicle().max_wheel_load_N and not checks.stated(campaign, "vehicle.mass_kg"):
-        if (most := float(np.nanmax(loads, initial=0.0))) > permitted:
-            text = f"loads of up to {most:.5g} N are more than the {permitted:g} N that nobody stated; give your own"
+        if (largest := float(np.nanmax(loads, initial=0.0))) > permitted:
+            text = f"loads of up to {largest:.5g} N are more than the {permitted:g} N that nobody stated; give your own"
             yield checks.setting_note("vehicle.max_wheel_load_N", text, "excess_load")
         permitted = np.inf
     # no wheel carries more than the vehicle and its heaviest payload weigh
@@ -184,13 +187,13 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
         yield checks.column_note(_LOADS, text, "missing_load")
 
 
-#: so many spreads off that line are no scatter of the payload's place
+#: robust spreads beyond which a load does not scatter by the payload's place
 _LOAD_SPREADS: Final = 6.0
-#: runs off to one side, no chance (2 in 2^8)
+#: contradicted loads that, all too large or all too small, have a common cause (by chance 2 in 2^8)
 _TO_ONE_SIDE: Final = 8
-#: a centre of mass is placed within 1 to 2 cm on a metre
+#: relative error of static loads: a centre of mass is known within 1 to 2 cm on a metre
 _STATICS: Final = 0.02
-#: share of a weight on two rear wheels, wherever it lies: a fifth to all, and scales 5 % off
+#: least and largest share of a weight on the two rear wheels, with 5 % for the scales
 _REAR_SHARE: Final = (0.2, 1.05)
 
 
@@ -210,18 +213,18 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     allowed = _allowed(computed.sum(axis=0))
     off = np.asarray((np.abs(weighed - computed) > allowed).any(axis=0))
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
-    more, known = (weighed.sum(axis=0) > computed.sum(axis=0))[off], np.isfinite(weighed + computed).all(axis=0)
+    heavier, known = (weighed.sum(axis=0) > computed.sum(axis=0))[off], np.isfinite(weighed + computed).all(axis=0)
     whole = off.sum() > max(3, checks.MOST_OF_THE_RUNS * known.sum())
-    whole |= len(more) >= _TO_ONE_SIDE and more.mean() in {0.0, 1.0}
+    whole |= len(heavier) >= _TO_ONE_SIDE and heavier.mean() in {0.0, 1.0}
     of = off if whole else known & (computed > 0.0).all(axis=0)
     ratios = (weighed / computed)[:, of]
     alike = False
-    if checks.stated(campaign, "vehicle.mass_kg") and of.sum() >= checks.LEAST_OF_A_LINE:
+    if checks.stated(campaign, "vehicle.mass_kg") and of.sum() >= checks.MIN_LINE_RUNS:
         spreads = np.maximum(_STATICS, [_LOAD_SPREADS * checks.robust_spread(ratio) for ratio in ratios])[:, None]
         middle = np.median(ratios, axis=1, keepdims=True)
-        # what is off as all others are is no single run's
-        of_all = (np.abs(ratios - middle) <= spreads)[:, off[of]].all()
-        alike = bool(of_all and (np.abs(middle - 1.0) > spreads).any())
+        # contradicted runs that differ as all others do have a common cause
+        common = (np.abs(ratios - middle) <= spreads)[:, off[of]].all()
+        alike = bool(common and (np.abs(middle - 1.0) > spreads).any())
     if whole or alike:
         hint, code = _SWAPPED if swapped.sum() > checks.MOST_OF_THE_RUNS * off.sum() else _CONTRADICTED
         left, right = np.median(ratios, axis=1)
@@ -247,7 +250,7 @@ def _unit_of_shares(shares: FloatArray) -> str:
 
 def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
     known = np.isfinite(payload + total)
-    slopes = checks.slopes_of(payload[known], total[known])
+    slopes = checks.pair_slopes(payload[known], total[known])
     if unit := _unit_of_shares(slopes / GRAVITY_MPS2):
         text = f"""each kg of payload adds {np.median(slopes):.3g} N to both wheels in sum; expected
             {_REAR_SHARE[0] * GRAVITY_MPS2:.2g} to {GRAVITY_MPS2:g} N; are they in {unit}?"""
@@ -257,15 +260,15 @@ def _unit_by_payload(payload: FloatArray, total: FloatArray) -> Iterator[Note]:
 def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
     payload = campaign.runs.number("payload_kg")
     runs = np.flatnonzero(np.isfinite(total + payload))
-    if len(runs) < checks.LEAST_OF_A_LINE:
+    if len(runs) < checks.MIN_LINE_RUNS:
         return
-    away = checks.off_line(payload[runs], total[runs])
+    away = checks.line_residuals(payload[runs], total[runs])
     expected = total.copy()
     expected[runs] -= away
     far = np.abs(away) > np.maximum(_allowed(expected[runs]), _LOAD_SPREADS * checks.robust_spread(away))
-    kept = payload[runs[~far]]
+    others = payload[runs[~far]]
     for run in runs[far] if far.sum() <= MOST_ODD * len(runs) else ():
-        if kept.min() <= payload[run] <= kept.max():
+        if others.min() <= payload[run] <= others.max():
             text = f"""found {total[run]:.0f} N on both wheels with {payload[run]:g} kg; the other runs ask for
                 {expected[run]:.0f} N; check payload_kg and the weighing: it may be the load of another run"""
             yield checks.cell_note(campaign, int(run), f"{_LOADS}, payload_kg", text, "contradicted_load")
@@ -285,16 +288,16 @@ def reference_load(campaign: Campaign) -> Iterator[Note]:
         yield checks.setting_note("model.reference_load_N", text, "reference_load", "info")
 
 
-#: reference loads within this share are one: scales and rounding
+#: relative difference within which a reference load is one of the usual loads: scales and rounding
 _SAME_LOAD: Final = 0.05
 _SWAPPED: Final = ("left and right loads look swapped, or payload_y_m counts from the right", "swapped_loads")
 _CONTRADICTED: Final = (
     "check payload, its place and the weighing, and the vehicle's mass_kg, cog_x_m and wheelbase_m",
     "contradicted_load",
 )
-#: factor between the payload's weight and what the scales say it adds
+#: plausible factor between the payload's weight and what it adds to the weighed loads
 _MOST_PAYLOAD: Final = 1.6
-#: the empty vehicle's load may be this share of what its mass asks for: its mass or place is poorly known
+#: plausible share of the weighed in the computed load of the empty vehicle, whose mass may be poorly known
 _LIGHTEST: Final = 0.3
 
 
@@ -309,7 +312,7 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
     by_payload = good & (expected > 0)
     if by_payload.sum() >= LEAST_RUNS:
         ratios, loads = (total / expected)[by_payload], expected[by_payload]
-        # the lightest runs tell most of the vehicle's mass, all of them of the payload
+        # the lightest runs test the vehicle's mass, all of them the payload's
         medians = [float(np.median(part)) for part in (ratios, ratios[loads <= np.quantile(loads, 0.25)])]
         ratio = max(medians, key=lambda part: abs(math.log(part)))
         if 0.4 <= ratio <= 2.5:
@@ -320,10 +323,10 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
             yield _in_another_unit(_LOADS, ratio, "those of vehicle and payload")
     else:
         yield from _of_the_empty_vehicle(campaign, total, good)
-    most, permitted = float(np.max(np.fmax(*weighed)[good])), vehicle.max_wheel_load_N
-    # a heavy vehicle needs another limit first
-    if most > permitted > vehicle.unladen_load_N:
-        text = f"""found wheel loads up to {most:.5g} N; {permitted:g} N is permitted; are payloads or loads in another
+    top, permitted = float(np.max(np.fmax(*weighed)[good])), vehicle.max_wheel_load_N
+    # a limit below the unladen load is wrong itself
+    if top > permitted > vehicle.unladen_load_N:
+        text = f"""found wheel loads up to {top:.5g} N; {permitted:g} N is permitted; are payloads or loads in another
             unit (g, lb, N for kg), or is vehicle.max_wheel_load_N another?"""
         yield implausible_column(_LOADS, text)
     place = float(np.nanmax(np.append(np.abs(runs.number("payload_x_m")), 0.0)))
@@ -367,7 +370,7 @@ def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) ->
     slope, intercept = np.polyfit(x, y, 1)
     unexplained = float(np.std(y - slope * x - intercept))
     ratio = 1 / float(slope) if slope > 0 else math.inf
-    # only where the scales follow the payload closely: a unit, then, and no mixture of places
+    # a unit only where the loads follow the payload closely; a mixture of its places scatters
     if 1 / _MOST_PAYLOAD <= ratio <= _MOST_PAYLOAD or unexplained > 0.1 * float(np.std(y)):
         return
     hint = "is it in pounds?" if abs(ratio / 2.20462 - 1) < 0.1 else "check its unit and its place"

@@ -1,4 +1,4 @@
-"""End poses: in their unit and frame, and in agreement with distances, counts and logs."""
+"""End poses: in another unit or frame, or inconsistent with distances, counts and logs."""
 
 import math
 from collections.abc import Iterator
@@ -8,37 +8,35 @@ import numpy as np
 
 from calib.campaign import checks
 from calib.campaign.checks import LEAST_RUNS, column_note, implausible_column, robust_spread, rolled_m
-from calib.campaign.checks.measurements import off
+from calib.campaign.checks.measurements import implausible_ratio
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
 from calib.campaign.wheels import ASIDE
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, evenly, few_digits
 
-#: runs that must agree, and standard errors beyond which they do
+#: fewest straight runs for a finding, and standard errors beyond which their median is one
 _LEAST_STRAIGHT_RUNS: Final = 8
 _SIGMAS: Final = 6.0
-#: a distance is its end pose's within so many stated uncertainties, and at least so many metres
+#: allowed difference of distance and end pose: in stated standard uncertainties, and at least in metres
 _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
-#: a distance off its end pose by so much, and so many times what is allowed, is another run's
+#: difference from which they belong to different runs: in metres, and in allowed differences
 _OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0
-#: scatter and stated uncertainty agree within this factor
+#: factor by which an uncertainty is overstated
 _OVERSTATED: Final = 4.0
-#: distance and end pose scatter by more than stated: beyond 1.41 times, where start and end are measured each, and by
-#: so many standard deviations of the sum of squares
+#: factor of an understated one (1.41: start and end measured each), and its significance in standard deviations
 _UNDERSTATED, _UNDERSTATED_SIGMAS = 1.5, 6.0
-#: straight runs end ahead of their start within this angle
+#: largest angle between a straight run's start heading and its end
 _MOST_BEARING_RAD: Final = 0.3
-#: a track further off is reported
+#: relative error from which a track is reported
 _TRACK_TOLERANCE: Final = 0.05
-#: a run so many robust spreads off is left aside: its log may be damaged
+#: robust spreads beyond which a run is omitted: its log may be damaged
 _OUTLIER_SPREADS: Final = 5.0
-#: numbers of runs, and of each in m: the end's offset by the reference, half its heading times the distance, and the
-#: bow by the log
+#: indices of runs; in m offset of the end by the reference, half its heading times the distance, bow by the log
 _Bows = tuple[IntArray, FloatArray, FloatArray, FloatArray]
-#: straight runs whose bows are looked at: more tell no more and take time
+#: most straight runs whose bows are computed, to save time
 _MOST_STRAIGHT_RUNS: Final = 200
-#: how well a vehicle is placed on its start mark
+#: standard uncertainty of placing a vehicle on its start mark
 _LEAST_ANGLE_RAD: Final = 0.01
-#: mirroring back a mirrored y leaves less than this share of the scatter
+#: largest share of the scatter that remains once y is mirrored back
 _CLEARER: Final = 0.5
 #: positions over what was driven -> their unit
 POSITION_UNITS: Final = (
@@ -48,57 +46,68 @@ POSITION_UNITS: Final = (
     (39.3701, "inches"),
     (1e-3, "kilometres, or is distance_m in millimetres"),
 )
-#: a gyro's scale is compared over runs that turn by this angle or more
+#: a smaller ratio is degrees on the globe: a metre is 9e-6 degrees of latitude
+_MAX_DEGREES_PER_M: Final = 1e-4
+#: smallest turn of a run for a gyro's scale
 _LEAST_GYRO_TURN_RAD: Final = 0.5
-#: nearly straight runs turn against their counts: by so many standard errors, and at least so many times
+#: headings that turn against the counts: significance in standard errors, and largest ratio
 _OPPOSED_SIGMAS, _OPPOSED_RATIO = 6.0, -0.3
+
+
+def position_unit_hint(ratio: float, otherwise: str) -> str:
+    """Return a hint at the unit of positions `ratio` times too large, or another."""
+    unit = checks.meaning(ratio, POSITION_UNITS)
+    unit = "degrees of latitude and longitude" if ratio < _MAX_DEGREES_PER_M else unit
+    return f"are they in {unit}?" if unit else otherwise
 
 
 def distance_against_pose(campaign: Campaign) -> Iterator[Note]:
     """Compare the distance of nearly straight runs with their end pose."""
     uncertainty = math.hypot(campaign.rangefinder.sigma_m, campaign.reference.sigma_xy_m)
     allowed = max(_LEAST_DIFFERENCE_M, _UNCERTAINTIES * uncertainty)
-    longer = _longer(campaign, 0.05)
-    for where, n_runs, median, error in _offsets(longer, campaign.runs.label("session"), allowed):
+    excess = _distance_excess_m(campaign, 0.05)
+    for where, n_runs, median, error in _shared_offsets(excess, campaign.runs.label("session"), allowed):
         text = f"""the distance is {1e3 * abs(median):.3g} mm {"longer" if median > 0 else "shorter"} than that of the
             reference's end pose {where} (median of {n_runs} straight runs, standard error {1e3 * error:.3g} mm);
             expected the same within {1e3 * allowed:.3g} mm; check zero and scale of the rangefinder, and what each is
             measured from"""
         yield column_note("distance_m", text, "distance_against_pose")
-    longer = _longer(campaign, 0.5)
-    if np.isfinite(longer).sum() < _LEAST_STRAIGHT_RUNS:
+    excess = _distance_excess_m(campaign, 0.5)
+    if np.isfinite(excess).sum() < _LEAST_STRAIGHT_RUNS:
         return
-    distance, apart = campaign.runs.number("distance_m"), longer - np.nanmedian(longer)
+    distance, apart = campaign.runs.number("distance_m"), excess - np.nanmedian(excess)
     for run in np.flatnonzero(np.abs(apart) > max(_OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN * allowed)):
-        text = f"""found {distance[run]:.4g} m with an end pose {distance[run] - longer[run]:.4g} m away,
+        text = f"""found {distance[run]:.4g} m with an end pose {distance[run] - excess[run]:.4g} m away,
             {apart[run]:+.3g} m against the other straight runs; do distance and end pose belong to the same run?"""
         yield checks.cell_note(campaign, run, "distance_m", text, "pose_of_another_run")
 
 
-def _longer(campaign: Campaign, most: float) -> FloatArray:
+def _distance_excess_m(campaign: Campaign, most: float) -> FloatArray:
+    # distance less that of the end pose, of straight runs where it is a share below `most`
     runs = campaign.runs
     distance, away = runs.number("distance_m"), np.hypot(runs.number("ref_x_m"), runs.number("ref_y_m"))
     return np.where(_straight(campaign) & (np.abs(distance - away) < most * away), distance - away, np.nan)
 
 
-def _offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[tuple[str, int, float, float]]:
+def _shared_offsets(values: FloatArray, session: StrArray, allowed: float) -> Iterator[tuple[str, int, float, float]]:
+    # where all runs, or a session's, are off alike: number, median and its standard error
     known = np.flatnonzero(np.isfinite(values))
     if len(known) < _LEAST_STRAIGHT_RUNS:
         return
-    for name, members in (("", known), *checks.groups_of(session[known])):
-        found = values[known[members]] if name else values[known]
-        if len(found) < LEAST_RUNS:
+    for name, members in (("", known), *checks.runs_by_label(session[known])):
+        offsets = values[known[members]] if name else values[known]
+        if len(offsets) < LEAST_RUNS:
             continue
-        median = float(np.median(found))
-        error = 1.2533 * robust_spread(found) / math.sqrt(len(found))
+        median = float(np.median(offsets))
+        error = 1.2533 * robust_spread(offsets) / math.sqrt(len(offsets))
         if abs(median) > max(allowed, _SIGMAS * error):
-            yield f"in session {name}" if name else "in all sessions", len(found), median, error
+            yield f"in session {name}" if name else "in all sessions", len(offsets), median, error
             if not name:
                 return
 
 
 def _bows(campaign: Campaign) -> _Bows:
-    # the end's offset less half its heading times the distance: unequal wheels leave it alone, a wrong track scales it
+    # unequal radii leave the offset less half the heading times the distance alone, a wrong track scales it
     runs, logs = campaign.runs, campaign.logs
     theta = runs.number("ref_theta_rad")
     used = np.flatnonzero(_straight(campaign) & np.isfinite(theta) & (np.abs(theta) < 0.3) & (logs.lengths >= 20))
@@ -106,7 +115,7 @@ def _bows(campaign: Campaign) -> _Bows:
         used = used[:0]
     used = used[evenly(len(used), _MOST_STRAIGHT_RUNS)]
     sensor = campaign.reference
-    # of the vehicle, from the pose of the sensor since its own start
+    # offset of the vehicle, from the sensor's pose relative to its start
     along, aside = runs.number("ref_x_m"), runs.number("ref_y_m")
     offset = np.sin(sensor.sensor_yaw_rad) * along + np.cos(sensor.sensor_yaw_rad) * aside
     offset -= sensor.sensor_x_m * np.sin(theta) + sensor.sensor_y_m * (np.cos(theta) - 1.0)
@@ -130,7 +139,7 @@ def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
 
 
 def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
-    """Find a y of the other sign."""
+    """Find end poses whose y has the wrong sign."""
     runs, offset, turned, counted = _bows(campaign)
     if not len(runs):
         return
@@ -157,16 +166,16 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
 
 def stated_uncertainties(campaign: Campaign) -> Iterator[Note]:
     """Compare the scatter of straight runs with the uncertainties stated."""
-    longer, reference = _longer(campaign, 0.05), campaign.reference
+    excess, reference = _distance_excess_m(campaign, 0.05), campaign.reference
     sigma_m = math.hypot(campaign.rangefinder.sigma_m, reference.sigma_xy_m)
     for names, values, sigma, unit in (
-        (("rangefinder.sigma_m", "reference.sigma_xy_m"), longer[np.isfinite(longer)], sigma_m, "m"),
-        (("reference.sigma_theta_rad",), _aside_rad(campaign)[1], reference.sigma_theta_rad, "rad"),
+        (("rangefinder.sigma_m", "reference.sigma_xy_m"), excess[np.isfinite(excess)], sigma_m, "m"),
+        (("reference.sigma_theta_rad",), _frame_angles_rad(campaign)[1], reference.sigma_theta_rad, "rad"),
     ):
         if len(values) < _LEAST_STRAIGHT_RUNS or not all(checks.stated(campaign, name) for name in names):
             continue
         scatter = robust_spread(values)
-        # no floor is even: headings scatter by more than the reference's share
+        # headings scatter by an uneven floor, too
         understated = unit == "m" and _beyond_stated(values, sigma, scatter)
         if scatter < sigma / _OVERSTATED or understated:
             most = _UNDERSTATED if understated else _OVERSTATED
@@ -183,7 +192,7 @@ def _beyond_stated(values: FloatArray, sigma: float, scatter: float) -> bool:
 
 
 def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
-    """Find straight runs that end aside of their start heading."""
+    """Find straight runs that end off the direction of their start heading."""
     runs, turned = campaign.runs, checks.turned_rad(campaign)
     x, y, distance = (runs.number(name) for name in ("ref_x_m", "ref_y_m", "distance_m"))
     away = np.hypot(x, y)
@@ -200,16 +209,16 @@ def bearing_of_ends(campaign: Campaign) -> Iterator[Note]:
 
 
 def turned_frame(campaign: Campaign) -> Iterator[Note]:
-    """Compare headings with where straight runs end."""
-    runs, angle = _aside_rad(campaign)
-    for where, n_runs, median, error in _offsets(angle, campaign.runs.label("session")[runs], _LEAST_ANGLE_RAD):
+    """Compare the headings of straight runs with where they end."""
+    runs, angle = _frame_angles_rad(campaign)
+    for where, n_runs, median, error in _shared_offsets(angle, campaign.runs.label("session")[runs], _LEAST_ANGLE_RAD):
         text = f"""the ends of {n_runs} straight runs {where} lie {abs(median):.3g} rad further to the
             {"left" if median > 0 else "right"} than their headings say (standard error {error:.2g} rad); expected the
             same; is the frame of the reference turned, or its heading off (sensor_yaw_rad)?"""
         yield column_note("ref_theta_rad, ref_y_m", text, "turned_frame")
 
 
-def _aside_rad(campaign: Campaign) -> tuple[IntArray, FloatArray]:
+def _frame_angles_rad(campaign: Campaign) -> tuple[IntArray, FloatArray]:
     runs, offset, turned, counted = _bows(campaign)
     return runs, 2.0 * (offset - turned - counted) / campaign.runs.number("distance_m")[runs]
 
@@ -222,15 +231,16 @@ def _straight(campaign: Campaign) -> BoolArray:
 
 
 def _slope(counted: FloatArray, measured: FloatArray) -> tuple[float, float]:
-    kept = np.ones(len(counted), dtype=bool)
+    # slope through zero and its standard error, without outliers
+    used = np.ones(len(counted), dtype=bool)
     for _ in range(2):
-        square = max(float(counted[kept] @ counted[kept]), 1e-300)
-        slope = float(counted[kept] @ measured[kept]) / square
+        square = max(float(counted[used] @ counted[used]), 1e-300)
+        slope = float(counted[used] @ measured[used]) / square
         residual = measured - slope * counted
         near = np.abs(residual) <= _OUTLIER_SPREADS * max(robust_spread(residual), 1e-12)
-        kept = near if near.sum() >= _LEAST_STRAIGHT_RUNS else kept
-    square = max(float(counted[kept] @ counted[kept]), 1e-300)
-    return slope, math.sqrt(float(residual[kept] @ residual[kept]) / (kept.sum() - 1) / square)
+        used = near if near.sum() >= _LEAST_STRAIGHT_RUNS else used
+    square = max(float(counted[used] @ counted[used]), 1e-300)
+    return slope, math.sqrt(float(residual[used] @ residual[used]) / (used.sum() - 1) / square)
 
 
 def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
@@ -250,7 +260,8 @@ def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
         yield column_note("gyro_theta_rad", text, "gyro_against_reference")
 
 
-#: a way beyond what wheels roll, with slip, so many uncertainties, and times what a slow or noisy reference usually has
+#: difference of a lost reference from the wheels: in metres, beyond this slip, in standard uncertainties, and in usual
+#: (90 %) differences
 _LOST_M, _SLIP, _LOST_SIGMAS, _UNUSUAL = 0.05, 1.5, 15.0, 4.0
 
 
@@ -259,7 +270,7 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
     campaign = checks.on_axle(campaign)
     vehicle, sensor = campaign.vehicle, campaign.reference
     least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
-    # from the axle's middle to the sensor, wherever on the vehicle, in tracks
+    # largest lever arm from the axle's middle to the sensor, in tracks
     arm = 1.0 + (vehicle.wheelbase_m + math.hypot(sensor.sensor_x_m, sensor.sensor_y_m)) / vehicle.track_m
     for run, log in campaign.logs.each(20, "ref_x_m", "ref_y_m", "counts_left", "counts_right"):
         position = log["ref_x_m"] + 1j * log["ref_y_m"]
@@ -304,10 +315,9 @@ def implausible_poses(campaign: Campaign) -> Iterator[Note]:
         expected = "the distance"
         if far.sum() > max(checks.MOST_OF_THE_RUNS * beyond.sum(), LEAST_RUNS - 1):
             ratio, expected = float(np.median(away[far] / distance[far])), "the distance at most"
-        if off(ratio):
-            unit = "millimetres" if ratio > 300 else checks.meaning(ratio, POSITION_UNITS)
-            text = f"""the end poses lie {ratio:.3g} times as far away as was driven; expected {expected};
-                {f"are they in {unit}?" if unit else "check their unit and frame"}"""
+        if implausible_ratio(ratio):
+            hint = position_unit_hint(1e3 if ratio > 300 else ratio, "check their unit and frame")
+            text = f"the end poses lie {ratio:.3g} times as far away as was driven; expected {expected}; {hint}"
             yield implausible_column("ref_x_m, ref_y_m", text)
         straight &= np.isfinite(theta) & (np.abs(y) < 0.05 * np.abs(x)) & (away > 0.5 * distance)
         askew = float(np.median(np.abs(theta[straight]))) if straight.sum() >= LEAST_RUNS else 0.0
@@ -334,7 +344,7 @@ def _ends_m(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
 def _headings(campaign: Campaign, distance: FloatArray) -> Iterator[Note]:
     columns = checks.wheel_columns(campaign)
     steered = "steer_rad" in columns
-    # beside unequal wheels, which turn in proportion to the distance; radii that scatter with the load make small
+    # unequal wheels turn in proportion to the distance: a nuisance column
     theta, turned = checks.reference_turns(campaign)[0], checks.turned_rad(campaign)
     good = np.isfinite(theta) & np.isfinite(turned) & np.isfinite(distance)
     if good.sum() < 2 * LEAST_RUNS:

@@ -1,4 +1,4 @@
-"""What changes every answer and shows in no cell: counts per revolution, clocks, late logs, copied values."""
+"""Errors that no single cell shows: counts per revolution, clocks, senses, late logs, copied or rounded values."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -13,23 +13,23 @@ from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import SOURCE_NAMES, STEERED, odometry_source, without_rear_wheels
 from calib.types import BoolArray, FloatArray, IntArray, few_digits
 
-#: a worn wheel is a per cent off nominal; both further off to one side are a setting, and further still another wheel
+#: relative departure of both radii from nominal beyond wear (1 %), and that of another wheel
 FAR_FROM_NOMINAL: Final = 0.012
 MOST_FAR: Final = 0.05
-UNLIKE_LOADS: Final = 0.1  #: wheels that carry what differs by more than this share of both differ by rubber, too
-#: a clock in other units makes a log so many times faster or slower
+UNLIKE_LOADS: Final = 0.1  #: of two wheels that are not compared: share of their sum by which they differ
+#: factor by which a log's clock is too fast -> the unit of its times
 CLOCK_FACTORS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 SPEED_FACTOR: Final = 30.0  #: a campaign's runs are within this factor of the usual speed
-MOST_ODD: Final = 0.2  #: only a few runs are a turn off
-#: a distance so many times what other runs' wheels make of its counts belongs to another run or unit
+#: largest share of the runs whose cells are reported one by one; more have a common cause
+MOST_ODD: Final = 0.2
+#: factor by which a distance and the run's counts disagree, so that it belongs to another run or unit
 ODD_RATIO: Final = 1.3
-#: steps of so many times the reference's uncertainty are not its noise; all are multiples of one to `STEP_ERROR`
-COARSE: Final = 3.0
-STEP_ERROR: Final = 0.02
-REPEATED_VALUES, MOST_REPEATED = 8, 0.8  #: so many values, and this share of all, repeated tell rounding by themselves
-MOST_POSES: Final = 10_000  #: poses looked at
-_SAME_LOADS: Final = float(np.log(2.0))  #: a log's loads are those of its run within this factor
-MOST_SCATTER_COUNTS: Final = 1.0  #: every log begins so many counts late, to the count
+#: steps of values: coarse from so many standard uncertainties on; all are multiples of the smallest to this share
+COARSE, STEP_ERROR = 3.0, 0.02
+REPEATED_VALUES, MOST_REPEATED = 8, 0.8  #: so many repeated values, and this share of all, show rounding by themselves
+MOST_VALUES: Final = 10_000  #: values examined
+_SAME_LOADS: Final = float(np.log(2.0))  #: logarithm of the factor within which loads of log and run table agree
+MOST_SCATTER_COUNTS: Final = 1.0  #: within which the counts missing in the logs are the same in every run
 
 
 def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
@@ -58,14 +58,15 @@ def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
     level = np.isfinite(ratios).all(axis=0) & ~(np.abs(left_N - right_N) > UNLIKE_LOADS * (left_N + right_N))
     if level.sum() < LEAST_RUNS:
         return
-    apart = [float(np.median((one / other)[level])) - 1.0 for one, other in (ratios, ratios * over_model)]
-    if min(map(abs, apart)) > FAR_FROM_NOMINAL:
-        text = f"""the left wheel rolls as if its radius were {100 * apart[0]:+.2g} % off the right one's; expected
+    excess = [float(np.median((left / right)[level])) - 1.0 for left, right in (ratios, ratios * over_model)]
+    if min(map(abs, excess)) > FAR_FROM_NOMINAL:
+        text = f"""the left wheel rolls as if its radius were {100 * excess[0]:+.2g} % off the right one's; expected
             {100 * FAR_FROM_NOMINAL:.2g} % at most; check counts_per_rev of each, and whether an encoder loses counts"""
         yield setting_note("encoder and vehicle", text, "unlike_wheels")
 
 
 def _over_model(campaign: Campaign, side: str) -> FloatArray:
+    # nominal radius over the model's at each run's load
     model, load = campaign.model, campaign.runs.number(f"load_{side}_N")
     slope, radius = getattr(model, f"slope_{side}_m_per_N"), getattr(model, f"radius_{side}_m")
     changes = slope * np.nan_to_num(load - model.reference_load_N)
@@ -90,10 +91,10 @@ def log_clock(campaign: Campaign) -> Iterator[Note]:
     speeds = np.where(present, distance[ends] - distance[starts], np.nan) / duration_s
     usual, usual_s = float(np.median(speeds[present])), float(np.median(duration_s[present]))
     for factor, unit in CLOCK_FACTORS.items() if usual > 0.0 else ():
-        # a vehicle that mostly stands is slow, too, but its log is no longer
+        # the log of a vehicle that mostly stands is slow, too, but not long
         long = duration_s > usual_s * factor / SPEED_FACTOR
-        apart = np.abs(np.log(np.maximum(speeds, 1e-300) * factor / usual))
-        if len(slow := np.flatnonzero(long & (apart < np.log(SPEED_FACTOR)))):
+        log_ratio = np.abs(np.log(np.maximum(speeds, 1e-300) * factor / usual))
+        if len(slow := np.flatnonzero(long & (log_ratio < np.log(SPEED_FACTOR)))):
             text = f"""in {len(slow)} logs ({listed(campaign.runs.run_id[slow], 5)}) the wheels turn {factor:.0e} times
                 slower than in the others: t_s looks like {unit}; name the column t_ms, t_us or t_ns there"""
             yield column_note("t_s", text, "clock_unit", of="logs")
@@ -115,20 +116,21 @@ def odd_lengths(campaign: Campaign) -> Iterator[Note]:
         yield column_note("t_s", text, "clock", of="logs")
 
 
-#: how the name of a kind ends -> sense of its turns
-_OF_KIND: Final = {"ccw": 1.0, "left": 1.0, "cw": -1.0, "right": -1.0}
+#: ending of a kind's name -> sense of its turns
+_SENSE_OF_KIND: Final = {"ccw": 1.0, "left": 1.0, "cw": -1.0, "right": -1.0}
 
 
 def turns_of_kinds(campaign: Campaign) -> Iterator[Note]:
     """Compare the sense of turning by counts with the kind's name where no reference measured it."""
     turned, measured = checks.turned_rad(campaign), checks.reference_turns(campaign)[0]
-    sense = np.array([_OF_KIND.get(kind.rpartition("_")[2], 0.0) for kind in campaign.runs.label("kind").tolist()])
-    # a loop that closed turned whole turns either way
+    kinds = campaign.runs.label("kind").tolist()
+    sense = np.array([_SENSE_OF_KIND.get(kind.rpartition("_")[2], 0.0) for kind in kinds])
+    # the reference of a closed loop says nothing of the sense
     measured = np.where(campaign.runs.label("loop") == CLOSED, np.nan, measured)
     clear = np.isnan(measured) & np.isnan(checks.logged_turns(campaign)) & (sense != 0.0) & (np.abs(turned) > 1.0)
     if (against := clear & (sense * turned < 0.0)).any():
-        some = f"{int(against.sum())} of {int(clear.sum())} runs ({listed(campaign.runs.run_id[against])})"
-        text = f"in {some} the counts turn otherwise than the kind says; are left and right swapped?"
+        which = f"{int(against.sum())} of {int(clear.sum())} runs ({listed(campaign.runs.run_id[against])})"
+        text = f"in {which} the counts turn otherwise than the kind says; are left and right swapped?"
         yield column_note("counts_left, counts_right, kind", text, "swapped_wheels")
 
 
@@ -137,15 +139,15 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
     turns = checks.reference_turns(campaign)[1]
     odd = np.isfinite(turns) & (turns != 0.0)
     few = odd.sum() <= MOST_ODD * np.isfinite(turns).sum()
-    for _, runs in checks.groups_of(campaign.runs.label("session")) if few else ():
-        # a session off by no whole turns has another unit or sign, and no wrong cell
+    for _, runs in checks.runs_by_label(campaign.runs.label("session")) if few else ():
+        # headings of a session that differ by no whole turns have another unit or sign
         for run in runs[odd[runs]] if np.isinf(turns[runs]).mean() <= MOST_ODD else ():
-            text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say; correct the cell, or omit a "
-            text += "run that lost counts"
+            text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say"
+            text = f"{text}; correct the cell, or omit a run that lost counts"
             yield checks.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
 
 
-#: factors of turns by left wheel, right wheel and reference, and what they make good
+#: factors on the turns by left wheel, right wheel and reference, and the error that they correct
 Senses = tuple[tuple[float, float, float, str], ...]
 _SENSES: Final[Senses] = (
     (1.0, 1.0, 1.0, ""),
@@ -158,13 +160,13 @@ _STEERED_SENSES: Final[Senses] = (
     (1.0, 1.0, -1.0, "steer_rad or ref_theta_rad is positive to the right; negate it, or the counts, if they fall"),
     _SENSES[-1],
 )
-#: no angle is steered beyond, in rad, nor is one that wraps; single samples may be a sensor's faults
+#: largest steering angle, and share of samples that may exceed it by faults of the sensor
 _MOST_STEERED_RAD, _SINGLE_SAMPLES = 2.0 * np.pi, 0.01
-#: no car's wheel is steered by more
+#: largest steering angle of a car
 _MOST_CAR_RAD: Final = 1.0
-#: headings and counts are this far apart, and this share of it where it is made good
-_APART_RAD, _MADE_GOOD = 1.0, 0.1
-#: of one run, no more than noise, radii and track make: else its log is another's
+#: difference of headings and counts that is a finding, and share of it that may remain once corrected
+_MIN_DIFFERENCE_RAD, _CORRECTED_SHARE = 1.0, 0.1
+#: remaining difference of a single run: by noise, and by radii and track as a share of its turn
 _SINGLE_RAD, _SINGLE_SHARE = 0.05, 0.06
 
 
@@ -183,11 +185,11 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
         return
     campaign = checks.on_axle(campaign)
     senses = _STEERED_SENSES if steered else _SENSES
-    known, apart, _ = _apart_rad(campaign, senses)
-    for where, runs in (("all runs", np.arange(len(known))), *checks.groups_of(campaign.runs.label("session"))):
-        if len(of := runs[known[runs]]) >= LEAST_RUNS and (
-            words := _made_good(np.median(np.abs(apart[:, of]), axis=1), senses)
-        ):
+    known, difference, _ = _disagreement_rad(campaign, senses)
+    for where, runs in (("all runs", np.arange(len(known))), *checks.runs_by_label(campaign.runs.label("session"))):
+        runs = runs[known[runs]]
+        words = _correction(np.median(difference[:, runs], axis=1), senses) if len(runs) >= LEAST_RUNS else ""
+        if words:
             text = f"in {where} counts and headings are {words}"
             yield checks.implausible_column(f"{checks.wheel_columns(campaign)}, ref_theta_rad", text)
             if where == "all runs":
@@ -198,17 +200,16 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
     """Find single runs of another sense or unit: by their headings, or ends farther away than was driven."""
     campaign = checks.on_axle(campaign)
     senses = _STEERED_SENSES if odometry_source(campaign) in STEERED else _SENSES
-    known, apart, turned = _apart_rad(campaign, senses)
-    apart = np.abs(apart)
-    by = np.array([each for *_, each, _ in senses])[apart.argmin(axis=0)]
-    near = np.flatnonzero(known & (apart.min(axis=0) < _SINGLE_RAD + _SINGLE_SHARE * np.abs(by * turned)))
-    told = {run: words for run in near.tolist() if (words := _made_good(apart[:, run], senses))}
-    for run, words in told.items() if len(told) <= MOST_ODD * known.sum() else ():
+    known, difference, turned = _disagreement_rad(campaign, senses)
+    factor = np.array([of_reference for *_, of_reference, _ in senses])[difference.argmin(axis=0)]
+    near = np.flatnonzero(known & (difference.min(axis=0) < _SINGLE_RAD + _SINGLE_SHARE * np.abs(factor * turned)))
+    corrections = {run: words for run in near.tolist() if (words := _correction(difference[:, run], senses))}
+    for run, words in corrections.items() if len(corrections) <= MOST_ODD * known.sum() else ():
         text = f"counts and heading are {words.partition(';')[0]}; correct the row"
         yield checks.cell_note(campaign, run, f"{checks.wheel_columns(campaign)}, ref_theta_rad", text, "odd_run")
     rolled = np.mean([np.abs(checks.rolled_m(campaign, side)) for side in SIDES], axis=0)
     away = np.hypot(campaign.runs.number("ref_x_m"), campaign.runs.number("ref_y_m"))
-    # wheels half as large again, and a sensor on the vehicle's edge, make up for less
+    # less may come from wheels 50 % larger and a sensor on the vehicle's edge
     far = np.flatnonzero((away > 1.5 * rolled + 1.0) & (campaign.reference.frame != "map"))
     for run in far.tolist() if len(far) <= MOST_ODD * np.isfinite(away + rolled).sum() else ():
         text = f"""the run ends {few_digits(away[run])} m away after {few_digits(rolled[run])} m driven; is it in
@@ -216,29 +217,30 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
         yield checks.cell_note(campaign, run, "ref_x_m, ref_y_m", text, "odd_run")
 
 
-def _apart_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArray, FloatArray]:
+def _disagreement_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArray, FloatArray]:
+    # known turns (n_runs,), difference of headings and counts by sense (n_senses, n_runs), turns by the reference
     turned = checks.reference_turns(campaign)[0]
     left, right = (checks.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
-    apart = [
-        # a wheel that counts forward, beside one that does not, is not the one to negate; headings in another unit
-        # agree with what the wheels turned, and wheels that hardly turned agree with any
-        np.where((left * right < 0) & (by_left * left < 0) & (by_right * right < 0)
-                 | (abs(by) < 1.0) & (np.abs(by * turned - right + left) > _MADE_GOOD * np.abs(right - left)), np.inf,
-                 by * turned - by_right * right + by_left * left)
-        for by_left, by_right, by, _ in senses
-    ]  # fmt: skip
-    return np.isfinite(turned + left + right), np.array(apart), turned
+    differences = []
+    for by_left, by_right, by, _ in senses:
+        difference = np.abs(by * turned - by_right * right + by_left * left)
+        # the wheel to negate counts backwards; any unit would fit wheels that hardly turn
+        excluded = (left * right < 0) & (by_left * left < 0) & (by_right * right < 0)
+        excluded |= (abs(by) < 1.0) & (np.abs(by * turned - right + left) > _CORRECTED_SHARE * np.abs(right - left))
+        differences.append(np.where(excluded, np.inf, difference))
+    return np.isfinite(turned + left + right), np.array(differences), turned
 
 
-def _made_good(apart_rad: FloatArray, senses: Senses) -> str:
-    best = int(np.argmin(apart_rad))
-    if apart_rad[0] <= _APART_RAD or apart_rad[best] >= _MADE_GOOD * apart_rad[0]:
+def _correction(difference_rad: FloatArray, senses: Senses) -> str:
+    # words of the sense by which headings and counts agree; empty where none is needed or helps
+    best = int(np.argmin(difference_rad))
+    if difference_rad[0] <= _MIN_DIFFERENCE_RAD or difference_rad[best] >= _CORRECTED_SHARE * difference_rad[0]:
         return ""
-    return f"{apart_rad[0]:.3g} rad apart, or {apart_rad[best]:.2g} if {senses[best][-1]}"
+    return f"{difference_rad[0]:.3g} rad apart, or {difference_rad[best]:.2g} if {senses[best][-1]}"
 
 
 def unused_slopes(campaign: Campaign) -> Iterator[Note]:
-    """Find load laws of rear wheels where others are counted."""
+    """Find load laws of the rear wheels where the odometry counts another."""
     source, model = odometry_source(campaign), campaign.model
     slopes = model.slope_left_m_per_N, model.slope_right_m_per_N
     if any(slopes) and source == "front" and without_rear_wheels(campaign):
@@ -271,8 +273,9 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
 
 
 def _coarse_step(values: FloatArray, resolution: float) -> float | None:
-    found, times = np.unique(values[np.isfinite(values)][:MOST_POSES], return_counts=True)
-    steps = np.diff(found)
+    # the step that all values are multiples of, where it is coarse
+    distinct, times = np.unique(values[np.isfinite(values)][:MOST_VALUES], return_counts=True)
+    steps = np.diff(distinct)
     repeated = len(steps) > 0 and int(times[times > 1].sum()) >= max(REPEATED_VALUES, MOST_REPEATED * times.sum())
     if not (len(steps) >= LEAST_RUNS or repeated) or not steps.min() > COARSE * resolution:
         return None
@@ -280,7 +283,7 @@ def _coarse_step(values: FloatArray, resolution: float) -> float | None:
     return float(steps.min()) if np.abs(multiples - np.round(multiples)).max() < STEP_ERROR else None
 
 
-#: by an instrument a distance scatters by more than this part of its uncertainty about what the wheels rolled
+#: a measured distance scatters about that by the counts by more than this share of its standard uncertainty
 _COPIED: Final = 0.25
 
 
@@ -291,13 +294,13 @@ def copied_distances(campaign: Campaign) -> Iterator[Note]:
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(campaign.runs.label("loop") != CLOSED, 2.0 / (1.0 / radii[0] + 1.0 / radii[1]), np.nan)
     known = np.isfinite(ratio)
-    # a program's distances may have no noise
+    # simulated distances may have no noise
     if known.sum() < 2 * LEAST_RUNS or campaign.simulated:
         return
     usual = float(np.mean(ratio[known]))
-    left_m = float(np.std(distance[known] * (ratio[known] / usual - 1.0)))
-    if left_m < _COPIED * (sigma_m := campaign.rangefinder.sigma_m):
-        text = f"""the distances are what the wheels rolled to within {1e3 * left_m:.2g} mm, at any load; expected
+    scatter_m = float(np.std(distance[known] * (ratio[known] / usual - 1.0)))
+    if scatter_m < _COPIED * (sigma_m := campaign.rangefinder.sigma_m):
+        text = f"""the distances are what the wheels rolled to within {1e3 * scatter_m:.2g} mm, at any load; expected
             scatter of {1e3 * sigma_m:.2g} mm; an odometer says nothing of the radii: give those of the rangefinder"""
         yield column_note("distance_m", text, "copied_distance")
 
@@ -305,14 +308,13 @@ def copied_distances(campaign: Campaign) -> Iterator[Note]:
 def shifted_sessions(campaign: Campaign) -> Iterator[Note]:
     """Find session labels that are a row off."""
     session = np.unique(campaign.runs.label("session"), return_inverse=True)[1]
-    asked = {"load": checks.load_label(campaign), "temperature_C": campaign.runs.number("temperature_C")}
-    for name, values in asked.items():
+    conditions = {"load": checks.load_label(campaign), "temperature_C": campaign.runs.number("temperature_C")}
+    for name, values in conditions.items():
         group = np.unique(values, return_inverse=True)[1]
         if len(np.unique(session)) < 2 or len(np.unique(group)) < 2 or _constant_within(session, group):
             continue
-        for by in (-1, 1):
-            inner = slice(None, -1) if by == -1 else slice(1, None)
-            if _constant_within(np.roll(session, by)[inner], group[inner]):
+        for by, moved, inner in ((-1, session[1:], group[:-1]), (1, session[:-1], group[1:])):
+            if _constant_within(moved, inner):
                 text = f"""each session has one {name} if its labels move by one row {"up" if by == -1 else "down"}, and
                     as they stand it has not; are the labels a row off?"""
                 yield column_note("session", text, "shifted_sessions")
@@ -340,15 +342,15 @@ def logged_loads(campaign: Campaign) -> Iterator[Note]:
     """Find wheel loads of logs that are in another unit than the run table's, that stop, or are of one wheel alone."""
     known, n_logs = np.zeros((2, len(campaign.runs)), dtype=np.bool_), int(campaign.logs.present.sum())
     for wheel, name in enumerate(WHEEL_LOADS):
-        own, gaps = campaign.runs.number(name), []
-        ratio = np.full(len(own), np.nan)
+        table, gaps = campaign.runs.number(name), []
+        ratio = np.full(len(table), np.nan)
         for run, log in campaign.logs.each(2, name):
             known[wheel, run], at = True, np.flatnonzero(np.isfinite(log[name]))
             low, high = np.nanmin(log[name]), np.nanmax(log[name])
-            # where the log tells the load from the start on, the run's is among those
-            if at[0] == 0 and min(own[run], low) > 0.0:
-                ratio[run] = np.clip(own[run], low, high) / own[run]
-            # of loads in every sample, not of those written now and then
+            # a log that has the load from the start on holds that of the run table
+            if at[0] == 0 and min(table[run], low) > 0.0:
+                ratio[run] = np.clip(table[run], low, high) / table[run]
+            # gaps in loads of every sample, not between loads written now and then
             if len(at) < len(log[name]) and len(at) >= LEAST_RUNS and np.median(np.diff(at)) == 1.0:
                 gaps.append(run)
         if len(off := np.flatnonzero(np.abs(np.log(ratio)) > _SAME_LOADS)):
@@ -371,23 +373,23 @@ def logged_loads(campaign: Campaign) -> Iterator[Note]:
             yield column_note(name, text, "missing_load", of="logs")
 
 
-_OUTLIER_SPREADS: Final = 6.0  #: beyond, a radius is reported
+_OUTLIER_SPREADS: Final = 6.0  #: of radii about the line over load, beyond which one is an outlier
 
 
 def far_from_line(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose radius lies far from the line by load of their kind."""
+    """Find runs whose radius lies far from the line over load of the runs of their kind."""
     for side in SIDES:
         ratio, load = np.abs(raw_radius_ratio(campaign, side)), campaign.runs.number(f"load_{side}_N")
         load = load if np.isfinite(load).any() else np.zeros(len(load))
         ratio = np.where(np.abs(ratio - 1) < 0.15, ratio, np.nan)
         away = np.full(len(ratio), np.nan)
-        for _, of in checks.groups_of(campaign.runs.label("kind")):
+        for _, of in checks.runs_by_label(campaign.runs.label("kind")):
             of = of[np.isfinite(ratio + load)[of]]
-            if len(of) >= checks.LEAST_OF_A_LINE:
+            if len(of) >= checks.MIN_LINE_RUNS:
                 x = load[of] - load[of].mean()
-                # a load far from the others' draws its line
-                away[of] = checks.off_line(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
-        # the rangefinder's share keeps short runs, and exact data, from flagging their last digit
+                # residuals are smaller at a load far from the others', by its leverage
+                away[of] = checks.line_residuals(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
+        # no less than the rangefinder's share, for exact data and short runs
         with np.errstate(divide="ignore"):
             noise = campaign.rangefinder.sigma_m / campaign.runs.number("distance_m")
         spread = np.maximum(checks.robust_spread(away) * 1.2, noise)

@@ -22,13 +22,13 @@ from calib.errors import BadInputError
 from calib.io import refuse_existing, write_text
 from calib.types import grouped
 
-_ALL_READ: Final = 40
+_MAX_FILES_READ: Final = 40
 #: with a column that no log has, they show a run table without names
-_LENGTHS: Final = frozenset({"distance_m", "counts_left", "counts_right"})
-_OF_RUNS: Final = frozenset(
+_RUN_TABLE_NUMBERS: Final = frozenset({"distance_m", "counts_left", "counts_right"})
+_RUN_TABLE_COLUMNS: Final = frozenset(
     {"session", "direction", "kind", "payload_kg", "load_axle_N", "load_left_N", "load_right_N", "temperature_C"}
 )
-_OF_SPEEDS: Final = {"counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',)}
+_SPEED_LINES: Final = {"counts_per_rev": ('kind = "speed"   # in place of counts_per_rev: the logs have speeds',)}
 #: counted instead of two rear wheels -> key of the settings -> its lines, empty for the usual
 _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
     "counts_rear_left": {
@@ -40,11 +40,11 @@ _OTHER_WHEELS: Final[Mapping[str, Mapping[str, tuple[str, ...]]]] = {
         "wheel_radius_m": ("", "#front_wheel_radius_m =   # nominal"),
         "counts_per_rev": ("", "#counts_per_rev_front =   # of the front wheel, where it differs"),
     },
-    "speed_left_mps": _OF_SPEEDS,
-    "v_mps": _OF_SPEEDS,
+    "speed_left_mps": _SPEED_LINES,
+    "v_mps": _SPEED_LINES,
     "speed_rear_mps": {
         "drive": ('drive = "ackermann"   # one speed of the rear axle; front wheels that steer',),
-        **_OF_SPEEDS,
+        **_SPEED_LINES,
     },
 }
 
@@ -92,11 +92,11 @@ def describe(sources: Sequence[Path]) -> Description:
     """
     paths = listed_files([Path(source) for source in sources])
     kinds = grouped((re.sub(r"\d+", "#", str(path)), path) for path in paths)
-    if len(kinds) > _ALL_READ:
+    if len(kinds) > _MAX_FILES_READ:
         kinds = grouped((f"{path.parent}/*{path.suffix.lower()}", path) for path in paths)
     files: list[FileContents] = []
     for members in kinds.values():
-        read = members if len(members) <= _ALL_READ else [members[0], members[-1]]
+        read = members if len(members) <= _MAX_FILES_READ else [members[0], members[-1]]
         files += [replace(file_contents(read[0]), unread=len(members) - len(read)), *map(file_contents, read[1:])]
     if not any(file.n_rows for file in files):
         expected = "a row a run, or a row a sample"
@@ -105,7 +105,7 @@ def describe(sources: Sequence[Path]) -> Description:
     logs = [file for file in files if file is not table]
     alike = table is not None and not has_clock(table) and all(file.alike(table) for file in files)
     whole = replace(table, columns=ingest.together(files)) if table is not None and alike else table
-    beside = [file for file in logs if table is not None and not alike and _may_be_joined(file, table)]
+    beside = [file for file in logs if table is not None and not alike and _joins(file, table)]
     if whole is not None:
         whole = replace(whole, others={**whole.others, **{Path(file.name).stem: file.columns for file in beside}})
     apart = [] if alike else [file for file in logs if file not in beside]
@@ -124,7 +124,7 @@ def _sheets_of_runs(table: FileContents) -> list[FileContents]:
     return next((group for group in alike.values() if len(group) > 1 and has_clock(group[0])), [])
 
 
-def _may_be_joined(file: FileContents, table: FileContents) -> bool:
+def _joins(file: FileContents, table: FileContents) -> bool:
     of_runs = run_column(table) is not None and run_column(file) is not None and file.n_rows >= table.n_rows
     return of_runs and not has_clock(file) and not table.name.endswith(ingest.WORKBOOK)
 
@@ -138,7 +138,7 @@ def _run_table(files: Sequence[FileContents]) -> FileContents | None:
         runs = run_column(file)
         # of a log cut by a column each run has many rows
         single = runs is not None and (runs.kind != "number" or 2 * runs.span + 2 > file.n_rows)
-        named = single or (guesses >= _LENGTHS and guesses & _OF_RUNS and not has_clock(file))
+        named = single or (guesses >= _RUN_TABLE_NUMBERS and guesses & _RUN_TABLE_COLUMNS and not has_clock(file))
         if not file.recording and named and score > best_score:
             best, best_score = file, score
     if best is None:
@@ -167,20 +167,20 @@ def _mapping_lines(table: FileContents | None, logs: Sequence[FileContents]) -> 
     recordings = [log for log in logs if log.recording]
     if len(recordings) > 1 and table is None:
         lines += ["", f"{'#[cut]':27}# each recording is a run; where one holds many:", '#by = "stops"']
-    elif by_column := [column.name for log in logs[:1] for column in log.columns if _tells_runs(column, logs)]:
+    elif by_column := [column.name for log in logs[:1] for column in log.columns if _numbers_runs(column, logs)]:
         lines += ["", f"{'[cut]':27}# one log holds many runs", 'by = "column"', f"column = {toml_value(by_column[0])}"]
-    elif (recordings and (table is None or len(logs) == 1)) or _of_a_session(logs):
+    elif (recordings and (table is None or len(logs) == 1)) or _holds_many_runs(logs):
         lines += ["", f"{'[cut]':27}# one recording holds many runs", 'by = "stops"', "min_stop_s = 1.0"]
         lines += ['#by = "times"', '#times = [[0.0, 41.5], [60.0, 101.0]]   # or "length", "column"']
     return lines
 
 
-def _tells_runs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
+def _numbers_runs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
     few = len(logs) == 1 and column.whole and column.step == 1.0 and 0 < column.span < logs[0].n_rows / 20
     return few and guessed_table_column(column.name) == "run_id"
 
 
-def _of_a_session(logs: Sequence[FileContents]) -> bool:
+def _holds_many_runs(logs: Sequence[FileContents]) -> bool:
     patterns = [pattern for pattern, _ in files_of_a_run(logs).values()]
     return bool(patterns) and not any("{" in pattern for pattern in patterns)
 
@@ -192,7 +192,7 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
     others = {"drive": (drives,), "counts_per_rev": ("",), **_OTHER_WHEELS.get(wheels, {})}
     if any(SKID_STEER in line for line in turned):
         others["drive"] = ('drive = "skid"   # both wheels of a side turn alike',)
-    as_angles = bool(turned) and all(map(_uncounted, turned))
+    as_angles = bool(turned) and all(map(_without_counts, turned))
     if as_angles and wheels != "speed_rear_mps":
         resolution = "counts_per_rev = 4096   # no wheel gives counts: the resolution that they are kept in"
         others["counts_per_rev"] = (resolution,)
@@ -208,7 +208,7 @@ def _settings_lines(bits: int | None, named: set[str], own: Sequence[str]) -> li
     return lines
 
 
-def _uncounted(line: str) -> bool:
+def _without_counts(line: str) -> bool:
     (source,) = tomllib.loads(line).values()
     column = MappedColumn.model_validate(source if isinstance(source, dict) else {"column": source})
     return COUNT_UNITS[column.wheel_unit][0] in {"angle", "rate", "length"}

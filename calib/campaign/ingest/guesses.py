@@ -18,7 +18,7 @@ from calib.campaign.settings import bracketed, recognise, spelled
 from calib.types import SUFFIXES, BoolArray, FloatArray, floats, split_suffix, unit_named
 
 #: behind the side: left_wheel_joint, wheel_left_joint, Enc_L_raw
-_BEHIND: Final = re.compile(
+_WHEEL_SUFFIX: Final = re.compile(
     r"(_(joint|wheel|motor|axle|axis|pos|position|encoder|enc|counts?|cnt|ticks?|data|raw|geber|rad|drive|shaft|total|rpm))+$"
 )
 _LETTERS: Final = (
@@ -140,7 +140,7 @@ def _guessed_in_log(name: str) -> str | None:
     if exact in LOG_COLUMNS:
         return exact
     stem, unit = stem_and_unit(name)
-    short = _BEHIND.sub("", stem)
+    short = _WHEEL_SUFFIX.sub("", stem)
     wheel = _matching(short, None, "log") if short != stem else None
     return wheel if wheel and wheel.startswith("counts_") else _wheel_of(name) or _matching(stem, unit, "log")
 
@@ -209,14 +209,14 @@ def usual_step(values: FloatArray) -> float:
     return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
 
 
-_RISES: Final = 0.98
+_MONOTONIC_SHARE: Final = 0.98
 #: of a turn: an angle's jump back, and the span of one that starts again
 _JUMP, ONE_TURN = 0.75, 1.001
 #: a clock's steps are off the usual one by no more, for this share of them
 _EVEN, _MOSTLY = 0.05, 0.9
-_ALIKE: Final = 0.2
+_MIN_STEP_CORRELATION: Final = 0.2
 #: of its span, by which increments of a drive leave those at rest; of their steps, those back
-_AWAY: Final = 0.25
+_RETURN_SHARE: Final = 0.25
 RISES: Final = "rises without a break"
 _TURNS: Final = {2 * np.pi: "an angle that starts again after 2 pi", 360.0: "an angle that starts again after 360"}
 #: what a wheel's numbers do -> their unit
@@ -233,7 +233,7 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
     steps, span = np.diff(values), float(np.ptp(values))
     if not span:
         return ""
-    if abs(values[-1] - values[0]) > _RISES * float(np.abs(steps).sum()):
+    if abs(values[-1] - values[0]) > _MONOTONIC_SHARE * float(np.abs(steps).sum()):
         return RISES
     for turn, words in _TURNS.items():
         jumps = np.abs(steps) > _JUMP * turn
@@ -241,13 +241,13 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
         if _JUMP * turn < span <= ONE_TURN * turn and jumps.any() and steady:
             return words
     # what moves goes on: a counter's steps are alike from one to the next, but where it starts again
-    away = np.abs(values[1:] - values[0]) > _AWAY * span
+    away = np.abs(values[1:] - values[0]) > _RETURN_SHARE * span
     turns = steps[away & (steps != 0)]
-    level = abs(values[-1] - values[0]) < 0.1 * _AWAY * span and away.mean() > 0.5
-    level = level and len(turns) > 1 and float(np.mean(turns[1:] * turns[:-1] < 0)) > _AWAY
+    level = abs(values[-1] - values[0]) < 0.1 * _RETURN_SHARE * span and away.mean() > 0.5
+    level = level and len(turns) > 1 and float(np.mean(turns[1:] * turns[:-1] < 0)) > _RETURN_SHARE
     steps = steps[np.abs(steps) < _JUMP * span]
     alike = float(np.sum(steps[1:] * steps[:-1])) / max(float(np.sum(steps * steps)), 1.0)
-    return "increments, a count a sample" if whole and (level or alike < _ALIKE) else ""
+    return "increments, a count a sample" if whole and (level or alike < _MIN_STEP_CORRELATION) else ""
 
 
 _JACKKNIFE_BLOCKS: Final = 12

@@ -30,28 +30,28 @@ _POSES: Final = (
 )
 _ODOMETRY: Final = "nav_msgs/msg/Odometry"
 _UNTYPED: Final = ("channels", "variables")
-_RATE: Final = ":velocity."
+_VELOCITY: Final = ":velocity."
 #: numbers above it count from 1970 -> unit
 _EPOCHS: Final = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"), (1e8, "s"))
 #: days since 1900, as spreadsheets keep times: of 1954 to 2064; and a step of 4 s
-_DAYS: Final = (2e4, 6e4)
+_DAY_NUMBERS: Final = (2e4, 6e4)
 _DAY_STEP: Final = 5e-5
 #: least step of whole-number times -> unit; loggers sample at 1 Hz to 1 kHz
-_STEPS: Final = ((1e6, "ns"), (1e3, "us"), (1.5, "ms"))
+_UNIT_STEPS: Final = ((1e6, "ns"), (1e3, "us"), (1.5, "ms"))
 _PAIR: Final = ("counts_left", "counts_right")
 _CORNERS: Final = {
     "counts_left": ("counts_front_left", "counts_rear_left"),
     "counts_right": ("counts_front_right", "counts_rear_right"),
 }
 #: of its span, by which two coupled wheels of a side differ: they slip, but do not steer
-_COUPLED: Final = 0.02
-_LEVEL: Final = 0.1
+_COUPLED_SHARE: Final = 0.02
+_VERTICAL_SHARE: Final = 0.1
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
 _TWIST: Final = ("v_mps", "omega_radps")
 _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
 #: stem of a pose that no tracker is named in: the vehicle's own, perhaps
 _NO_TRACKER: Final = re.compile(r"((robot|base)_)?(pose?|pos(ition)?)?_?(x|y|theta|yaw|heading)")
-_BESIDE: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
+_BEARING: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
 _COMPASS: Final = "   # clockwise, of a compass? x = north; factor = -1 here and for y = east"
 SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a mecanum drive name all four"
 
@@ -107,10 +107,10 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     found: dict[str, ColumnContents] = {}
     for column in sorted(columns, key=_preference):
         target = guessed_log_column(column.name)
-        if target and target not in found and _may_be(target, column, streams.get(column.name), reference):
+        if target and target not in found and _plausible(target, column, streams.get(column.name), reference):
             found[target] = column
-    _lay_flat(found, columns)
-    bearing = _chosen(found, streams)
+    _to_ground(found, columns)
+    bearing = _one_source(found, streams)
     names, others = ({column.name for column in of} for of in (found.values(), columns))
     free = sorted((column for column in columns if column.name not in names), key=lambda column: column.kind != "time")
     clock = next((column for column in free if column.even or column.kind == "time"), None)
@@ -128,8 +128,10 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
             lines.append("# wheel odometry is no reference: keep these lines only if it measures from outside")
         if not target.startswith("counts_") and (log.recording or recognise(column.name, LOG_COLUMNS).name != target):
             compass = _COMPASS if eastward and target == "ref_theta_rad" else ""
-            lines.append(_line(target, column) + (compass or (_BESIDE if column is bearing else "")))
-        if target == "ref_theta_rad" and (_OF_QUATERNION.search(column.name) or _w(column) in others - {column.name}):
+            lines.append(_line(target, column) + (compass or (_BEARING if column is bearing else "")))
+        if target == "ref_theta_rad" and (
+            _OF_QUATERNION.search(column.name) or _quaternion_w(column) in others - {column.name}
+        ):
             lines[-1] = _quaternion_line(column, columns)
     lines += _wheel_lines(found, columns, streams)
     return sorted(lines, key=lambda line: not line.startswith("t_s")), found
@@ -150,10 +152,10 @@ def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], l
 def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
     # last a joint's rate, a pose of no tracker, a length of no instrument
     no_tracker = _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None or "odom" in column.name.lower()
-    return _RATE in column.name, no_tracker, not guesses.by_rangefinder(column.name)
+    return _VELOCITY in column.name, no_tracker, not guesses.by_rangefinder(column.name)
 
 
-def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
+def _one_source(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
     # speeds beside counts, or one of two, are dropped; returned is a bearing taken as heading
     known = any(name.startswith("counts_") for name in found)
     if not known and _TWIST[0] in found and _TWIST[1] not in found and "gyro_z_radps" in found:
@@ -170,12 +172,12 @@ def _chosen(found: dict[str, ColumnContents], streams: Mapping[str, StreamConten
     return None if typed else found.setdefault("ref_theta_rad", bearing)
 
 
-def _w(of_axis: ColumnContents) -> str:
+def _quaternion_w(of_axis: ColumnContents) -> str:
     axis = of_axis.name[-1]
     return of_axis.name[:-1] + ("W" if axis in "XYZ" else "w" if axis in "xyz" else axis)
 
 
-def _lay_flat(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> None:
+def _to_ground(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> None:
     named = {column.name: column for column in columns}
     x = found["ref_x_m"].name if "ref_x_m" in found else ""
     at_x = len(x.partition(" [")[0]) - 1  # a unit may follow
@@ -186,20 +188,20 @@ def _lay_flat(found: dict[str, ColumnContents], columns: Sequence[ColumnContents
     spans = [axis.span for axis in axes]
     up = spans.index(min(spans))
     # a straight run's sideways motion is small, too
-    up = up if spans[up] < _LEVEL * sorted(spans)[1] else 2
+    up = up if spans[up] < _VERTICAL_SHARE * sorted(spans)[1] else 2
     found["ref_x_m"], found["ref_y_m"] = axes[(up + 1) % 3], axes[(up + 2) % 3]
-    turns = [column for column in columns if column.name[-1].lower() == "xyz"[up] and _w(column) in named]
+    turns = [column for column in columns if column.name[-1].lower() == "xyz"[up] and _quaternion_w(column) in named]
     if turns and (up != 2 or "ref_theta_rad" not in found):
         found["ref_theta_rad"] = turns[0]
 
 
 def _quaternion_line(z: ColumnContents, columns: Sequence[ColumnContents]) -> str:
-    if (w := _w(z)) in {column.name for column in columns}:
+    if (w := _quaternion_w(z)) in {column.name for column in columns}:
         return entry("ref_theta_rad", z, None, {"w": w}) + "   # of a turn about the vertical alone"
     return f"#ref_theta_rad = {{column = {toml_value(z.name)}, w = }}}}   # z of a quaternion: its w is needed too"
 
 
-def _may_be(
+def _plausible(
     target: str, column: ColumnContents, stream: StreamContents | None, reference: StreamContents | None
 ) -> bool:
     joint = stream is not None and stream.kind.endswith("JointState")
@@ -210,7 +212,7 @@ def _may_be(
     if stream is None:
         return column.kind == "number" or (target == "t_s" and column.kind == "time")
     name = column.name
-    if ":effort." in name or ".velocity" in name or (_RATE in name and not is_wheel):
+    if ":effort." in name or ".velocity" in name or (_VELOCITY in name and not is_wheel):
         return False
     if target.startswith("ref_") and stream is not reference and stream.kind not in _UNTYPED:
         return False
@@ -232,11 +234,11 @@ def _time_unit(column: ColumnContents) -> tuple[str | None, str]:
     if column.whole and column.even and column.step == 1.0:
         return "? Hz", '   # counts frames: state how many a second, as "50 Hz"'
     unit = next((unit for least, unit in _EPOCHS if high > least), "s")
-    if _DAYS[0] < low <= high < _DAYS[1] and column.step < _DAY_STEP:
+    if _DAY_NUMBERS[0] < low <= high < _DAY_NUMBERS[1] and column.step < _DAY_STEP:
         unit = "day"
     elif unit == "s" and column.whole:
         # a counter of milliseconds may exceed the seconds since 1970
-        unit = next((one for least, one in _STEPS if column.step > least), unit)
+        unit = next((one for least, one in _UNIT_STEPS if column.step > least), unit)
     return unit, unit_remark("t_s")
 
 
@@ -248,7 +250,7 @@ def _wheel_lines(
     own = any(recognise(found[name].name, LOG_COLUMNS).name == name for name in corners)
     remark, lines = "", []
     if corners and not own and not set(_PAIR) & set(found):
-        remark = _folded(found, corners)
+        remark = _as_one_axle(found, corners)
     elif len(set(_PAIR) & set(found)) < 2 and not {"counts_front", *corners, *_SPEEDS} & set(found):
         remark = _by_behaviour(found, [column for column in columns if column.name not in taken])
     for name, other in (_PAIR, _PAIR[::-1]):
@@ -261,7 +263,7 @@ def _wheel_lines(
     angle = next((each for each in units.values() if each[0] == "rad" and each[1]), None)
     for wheel in wheels:
         column, stream = found[wheel], streams.get(found[wheel].name)
-        unit, why = angle if angle and units[wheel][0] == "rad/s" and _RATE not in column.name else units[wheel]
+        unit, why = angle if angle and units[wheel][0] == "rad/s" and _VELOCITY not in column.name else units[wheel]
         line = entry(wheel, column, unit or None)
         if column.kind == "number" and column.low == column.high:
             lines.append(f"#{line}   # never changes")
@@ -270,7 +272,7 @@ def _wheel_lines(
     return lines
 
 
-def _folded(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
+def _as_one_axle(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
     for axle in (0, 1):
         names = [pair[axle] for pair in _CORNERS.values()]
         if sorted(corners) == sorted(names):
@@ -287,10 +289,10 @@ def _folded(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
 
 def _coupled(front: ColumnContents, rear: ColumnContents) -> bool:
     span = max(front.span, rear.span)
-    return max(abs((front.low or 0.0) - (rear.low or 0.0)), abs(front.span - rear.span)) <= _COUPLED * span
+    return max(abs((front.low or 0.0) - (rear.low or 0.0)), abs(front.span - rear.span)) <= _COUPLED_SHARE * span
 
 
-def _turns(column: ColumnContents) -> bool:
+def _is_angle(column: ColumnContents) -> bool:
     return column.whole or column.span > 2.0 * math.pi
 
 
@@ -299,7 +301,9 @@ def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnCont
     kinds = {
         "overflows": [column for column in columns if column.whole and column.wrap_bits],
         "rises in whole numbers": [column for column in rising if column.whole and not column.even],
-        "rises": [c for c in rising if _turns(c)] if all(UNNAMED.fullmatch(column.name) for column in columns) else [],
+        "rises": [c for c in rising if _is_angle(c)]
+        if all(UNNAMED.fullmatch(column.name) for column in columns)
+        else [],
     }
     what, counters = next(((what, found) for what, found in kinds.items() if found), ("", []))
     if len(counters) != 2:
@@ -312,7 +316,7 @@ def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnCont
 
 
 def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[str, str]:
-    if _RATE in column.name:
+    if _VELOCITY in column.name:
         return "rad/s", "   # a rate, in rad/s where the driver keeps ROS's units"
     if stream is not None and stream.kind.endswith("JointState"):
         return "" if column.whole else "rad", ""

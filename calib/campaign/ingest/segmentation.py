@@ -19,10 +19,10 @@ from calib.errors import BadFileError
 from calib.io import sha256_file
 from calib.types import BoolArray, FloatArray, Progress, in_frame, stepped
 
-_TOGGLE_COUNTS: Final = 3.0
-_STANDING_COUNTS: Final = 1.5
-_WINDOW_S: Final = 0.5
-_STANDSTILL_S: Final = 0.5
+_MAX_TOGGLE_COUNTS: Final = 3.0
+_MAX_STANDSTILL_COUNTS: Final = 1.5
+_MOVING_WINDOW_S: Final = 0.5
+_MARGIN_S: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,9 +169,9 @@ def find_runs(
 def moving(time: FloatArray, wheels: Sequence[FloatArray]) -> BoolArray:
     """Return where any wheel turns by more than it toggles within half a second, shape (n_samples,)."""
     out: BoolArray = np.zeros(len(time), dtype=np.bool_)
-    later = np.minimum(np.searchsorted(time, time + _WINDOW_S), len(time) - 1)
+    later = np.minimum(np.searchsorted(time, time + _MOVING_WINDOW_S), len(time) - 1)
     for counts in wheels:
-        out |= np.abs(counts[later] - counts) > _TOGGLE_COUNTS
+        out |= np.abs(counts[later] - counts) > _MAX_TOGGLE_COUNTS
     return out
 
 
@@ -179,10 +179,10 @@ def _between_stops(time: FloatArray, wheels: Sequence[FloatArray], min_stop_s: f
     edges = np.flatnonzero(np.diff(np.concatenate(([False], moving(time, wheels), [False]))))
     starts, ends = edges[::2], edges[1::2] - 1
     # the window looks ahead: a drive ends up to half a second after its last flag
-    ends = np.minimum(np.searchsorted(time, time[ends] + _WINDOW_S), len(time) - 1)
+    ends = np.minimum(np.searchsorted(time, time[ends] + _MOVING_WINDOW_S), len(time) - 1)
     apart = time[starts[1:]] - time[ends[:-1]] >= min_stop_s
     starts, ends = starts[np.concatenate(([True], apart))[: len(starts)]], ends[np.append(apart, True)[: len(ends)]]
-    beside = min(_STANDSTILL_S, 0.5 * min_stop_s)
+    beside = min(_MARGIN_S, 0.5 * min_stop_s)
     first = np.searchsorted(time, time[starts] - beside)
     after = np.searchsorted(time, time[ends] + beside, side="right")
     return [slice(int(start), int(stop)) for start, stop in zip(first, after, strict=True)]
@@ -245,7 +245,7 @@ def end_values(columns: Mapping[str, FloatArray]) -> dict[str, float]:
     time, wheels = columns["t_s"], _wheels(columns)
     first = len(time) - 1
     if moving(time, wheels).any():
-        turning = [np.flatnonzero(np.abs(values - values[-1]) > _STANDING_COUNTS) for values in wheels]
+        turning = [np.flatnonzero(np.abs(values - values[-1]) > _MAX_STANDSTILL_COUNTS) for values in wheels]
         first = min(max((int(places[-1]) + 1 for places in turning if len(places)), default=0), first)
     sources = {"distance_m": "range_m", **{name: name for name in REFERENCE_POSE}}
     ends = {name: _median(columns[source][first:]) for name, source in sources.items() if source in columns}

@@ -1,28 +1,41 @@
-"""Diagnosis of a gap, runs to drive next, and known effects."""
+"""Diagnosis of a gap: its verdict, place, causes and closure."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from calib import reporting
-from calib.campaign.checks import listed
-from calib.gap.decision.diagnosis import Diagnosis, Plan, VerdictKind
-from calib.gap.effects.library import LIBRARY, UNCHANGED, Entry
+from calib.gap.decision.diagnosis import Diagnosis, Plan, Quantity, VerdictKind
+from calib.gap.decision.held_out import RERUN, Closure
+from calib.gap.decision.sentences import advice, headline
 from calib.gap.effects.reference import RangefinderScale, ReferenceScale
-from calib.gap.observations import Channel
-from calib.gap.plan import Outlook
-from calib.reporting import Block, Notice, Picture, Section, Table, Text, caption, items, picture, table
-from calib.reporting.formatting import MISSING, fixed, length, plural, prose, three_digits, with_unit
+from calib.gap.localise import PlaceResult
+from calib.gap.localise.locate import GapLocation, RunDeviation
+from calib.gap.observations import POSE, Channel
+from calib.reporting import (
+    Block,
+    Notice,
+    Picture,
+    Section,
+    Table,
+    Text,
+    caption,
+    formatting,
+    items,
+    paragraph,
+    picture,
+    table,
+)
+from calib.reporting.formatting import MISSING, fixed, length, percent, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
-from calib.reporting.topics import gap as findings
-from calib.reporting.topics.gap import effect_name
-from calib.types import FloatArray, floats, unit_of
+from calib.reporting.topics.runs import next_runs_table, runs_and_promises
+from calib.types import FloatArray, floats, grouped
 
 if TYPE_CHECKING:
-    from calib.kinematics.assemble import Promise
     from calib.reporting.figures.gap import GapArrays
 
 GAP_FIGURES: Final = ("gap-map", "before-after", *(f"gap-by-covariate-{channel.label}" for channel in Channel))
@@ -74,13 +87,13 @@ def diagnosis_content(verdict: Diagnosis, gap: "GapArrays | None" = None) -> tup
         verdict_notice(verdict),
         Text(reporting.paragraph("noise_level"), small=True),
         *(_map_picture(gap) if gap else ()),
-        *findings.where_blocks(verdict.where),
+        *where_blocks(verdict.where),
         *(_covariate_picture(gap, verdict) if gap else ()),
-        *findings.cause_blocks(verdict),
-        *findings.confounded_blocks(verdict),
-        *findings.closure_blocks(verdict),
+        *cause_blocks(verdict),
+        *confounded_blocks(verdict),
+        *closure_blocks(verdict),
         *(_before_after_picture(gap) if gap else ()),
-        *findings.limit_blocks(verdict),
+        *limit_blocks(verdict),
         *next_runs,
         *((Text("Notes:"), *items(map(prose, verdict.notes))) if verdict.notes else ()),
     )
@@ -160,164 +173,204 @@ def plan_content(plan: Plan) -> tuple[Block, ...]:
     return (verdict_notice(plan.diagnosis), *runs_and_promises(plan))
 
 
-def runs_and_promises(plan: Plan) -> tuple[Block, ...]:
-    """Return the runs to drive next, and the intervals they promise."""
-    promises = [promise_table(plan.now, plan.then)] if plan.then else []
-    mark = (reporting.simulated_notice(),) if plan.campaign.simulated else ()
-    return (*mark, next_runs_table([run.to_dict() for run in plan.runs]), *promises)
+#: most covariates, runs and places shown; the JSON has them all
+MAX_LINES: Final = 12
+MAX_RUNS: Final = 5
+#: a run is named where its gap exceeds this many noise levels
+OUTSTANDING_Z: Final = 4.0
+INTERVAL: Final = ("95 % interval | from", "95 % interval | to")
 
 
-#: unit of an effect -> (factor, printed unit) from the largest to the smallest
-PRINTED_UNITS: Final = {
-    "m": ((1.0, "m"), (1e3, "mm"), (1e6, "µm")),
-    "rad": ((1.0, "rad"), (1e3, "mrad"), (1e6, "µrad")),
-    "1": ((1e2, "%"), (1e6, "ppm")),
-}
+def where_blocks(where: GapLocation) -> list[Block]:
+    """Return where the gap lies, as tables and sentences."""
+    outstanding = grouped((line.name, line) for line in where.runs if abs(line.z) > OUTSTANDING_Z)
+    lines = [prose(_run(run, of_run)) for run, of_run in outstanding.items()][:MAX_RUNS]
+    return [
+        *([_channels(where)] if where.channels else ()),
+        *([_covariates(where)] if where.significant else ()),
+        *(Text(prose(_place(line))) for line in where.places[:MAX_LINES]),
+        *([Text("Runs with the largest gap:"), *items(lines)] if lines else ()),
+    ]
 
 
-def size_text(value: float, unit: str) -> str:
-    """Return a size with a printed unit: ``1e-6`` of ``m/N`` as ``1 µm/N``, ``3e-3`` of ``1`` as ``0.3 %``."""
-    above, slash, below = unit.partition(" per " if " per " in unit else "/")
-    for factor, name in PRINTED_UNITS.get(above, ((1.0, above),)):
-        if factor * abs(value) >= 0.095 or name in {"µm", "µrad", "ppm"}:
-            return f"{factor * value:.3g} {name}{slash}{below}"
-    return f"{value:.3g} {unit}"
+def _channels(where: GapLocation) -> Table:
+    rows = [(c.channel.label, *_sizes(c.channel.unit, c.rms, c.floor), fixed(c.ratio, 1)) for c in where.channels]
+    title = "Where: the gap by channel, root mean square, against its noise level."
+    return table(title, ("<Channel", "<Unit", "Gap", "Noise", "Ratio"), rows)
 
 
-def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
-    """Return the runs to drive next, best first, with the effects separated."""
-    if not runs:
-        return Text("No run of the list would separate more effects than the runs driven.")
-    return table(
-        "Runs to drive next in one session, best first.",
-        ("<Run", "Payload (kg)", "Speed (m/s)", "Hall (°C)", "Loaded (min)", "*What it separates"),
-        [_row(number, run) for number, run in enumerate(runs, start=1)],
-    )
+def _sizes(unit: str, *sizes: float) -> tuple[str, ...]:
+    factor, shown = formatting.readable(unit, sizes[0])
+    return (shown, *(three_digits(factor * size) for size in sizes))
 
 
-def promise_table(now: "Promise | None", then: "Promise") -> Table:
-    """Return the half widths that `calib geometry` will give, beside those of the runs driven."""
-    before = {} if now is None else {each.name: each.half_width for each in now.estimates}
+def _covariates(where: GapLocation) -> Table:
     rows = []
-    for each in then.estimates:
-        unit = unit_of(each.name)
-        known = size_text(before[each.name], unit) if each.name in before else MISSING
-        rows.append((each.name, *([] if now is None else [known]), size_text(each.half_width, unit)))
-    walk = 1e3 * float(np.sqrt(then.scales[2]))
-    left = f" Left open: {', '.join(then.undetermined)}." if then.undetermined else ""
-    gives, heads = ("will give", ["These"]) if now is None else ("gives", ["Runs driven", "With the next"])
-    return table(caption("table-promise", gives=gives, walk=walk, left=left), ("<Parameter", *heads), rows)
+    for line in where.significant[:MAX_LINES]:
+        shares = [fixed(value, 2) for value in (line.share, *(line.ci95 or (None, None)))]
+        rows.append((formatting.in_words(line.name), line.channel_label, *shares, formatting.probability(line.p_value)))
+    return table(caption("table-covariates"), ("<Correlates with", "<Channel", "Share", *INTERVAL, "p"), rows)
 
 
-#: key of a run to drive -> what is said of it
-_REMARKS: Final = {
-    "size": "{}", "stops": "{} stops", "loop": "closed loop", "tape": "by tape", "count": "{} times",
-    "read_rolling": "read while rolling",
-}  # fmt: skip
-
-
-def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
-    extra = [words.format(run[key]) for key, words in _REMARKS.items() if run.get(key)]
-    if run.get("payload_kg"):
-        extra.append(f"payload at {run.get('payload_x_m', 0.0):g}, {run.get('payload_y_m', 0.0):g} m".replace("-", "−"))
-    what = ", ".join([f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip(), *extra])
-
-    def shown(key: str, decimals: int = 2) -> str:
-        return f"{round(run[key], decimals):g}".replace("-", "−") if run.get(key) is not None else MISSING
-
-    numbers = (shown("payload_kg"), shown("speed_mps"), shown("temperature_C", 1), shown("minutes_under_load"))
-    return (f"{number}. {what}", *numbers, prose(str(run["why"])))
-
-
-_SIGNS: Final = {-1: "- ", 0: "± ", 1: ""}
-
-
-def effects_content(entries: Sequence[Entry], runs: str) -> tuple[Block, ...]:
-    """Return the catalogue as a table."""
-    catalogue = table(
-        f"{plural(len(entries), 'effect')}; typical size of the form that shows most on {runs}.",
-        ("<Effect", "*What it is", "<Family", "<Typical size"),
-        [(entry.effect.id, entry.effect.title, str(entry.effect.family), _typical(entry)) for entry in entries],
+def _run(run: str, lines: Sequence[RunDeviation]) -> str:
+    parts = (
+        f"{line.channel.label} {'+' * (line.value >= 0)}{three_digits(1e3 * line.value)} m{line.channel.unit} "
+        f"({abs(line.z):.0f} times its noise level)"
+        for line in lines
     )
-    silent = items(f"{entry.effect.id}: {_why_no_form(entry)}" for entry in entries if entry.signature is None)
-    own = (entry.effect for entry in entries if entry.effect.origin != LIBRARY)
-    elsewhere = items(f"{effect.id}: from {effect.origin}" for effect in own)
-    without = (Text(f"Without a form on {runs}:"), *silent) if silent else ()
-    return (catalogue, *without, *((Text("Not from the library:"), *elsewhere) if elsewhere else ()))
+    return f"{run}: {', '.join(parts)}"
 
 
-def effect_content(entry: Entry, runs: str) -> tuple[Block, ...]:
-    """Return one effect in full."""
-    effect = entry.effect
-    facts = {
-        "From": effect.origin,
-        "Family": f"{effect.family}: {effect.family.words}",
-        "Needs": effect.needs,
-        "Separated from others by": effect.separates,
-        "Beyond plausible, suspect": effect.implausible,
-        "Shifts": ", ".join(effect.shifts),
-    }
-    known = reporting.Facts(tuple((name, value) for name, value in facts.items() if value))
-    doc = (type(effect).__doc__ or "").strip().split("\n\n")[0]
-    content: list[Block] = [reporting.Heading(f"{effect.id}: {effect.title}"), Text(" ".join(doc.split())), known]
-    if entry.signature is None:
-        return (*content, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
-    form = entry.signature.form
-    rows = [
-        (p.name.replace("_", " "), _SIGNS[p.sign] + size_text(p.typical, p.unit), size_text(p.largest, p.unit))
-        for p in form.parameters
+def _place(line: PlaceResult) -> str:
+    size = f"{1e3 * line.size:+.3g} m{line.unit}"
+    spread = f"{1e3 * line.ci95[0]:.3g} to {1e3 * line.ci95[1]:.3g}"
+    if line.place is None or line.place_ci95 is None:
+        return f"It opens at {line.where}: {line.channel.label} {size} {line.what} (95 %: {spread})."
+    places = dict(zip(("low", "high", "first", "last"), (*line.place, *line.place_ci95), strict=True))
+    route = f" on {line.route.replace('_', ' ')}" if line.route else ""
+    known = {"where": line.where, "route": route, "size": f"{line.channel.label} {size}", "spread": spread}
+    return paragraph("place", **known, **places, coordinate=line.coordinate)
+
+
+def closure_blocks(verdict: Diagnosis) -> list[Block]:
+    """Return how far the gap shrinks and whether the fix is recommended."""
+    fix, unexplained, paper = verdict.fix, verdict.unexplained, headline(verdict)
+    sentences = [" ".join([_sentence(verdict) if verdict.causes else "", prose(advice(verdict))]).strip()]
+    sentences += [prose(paper.sentence)] if paper else []
+    if fix.agreement_m is not None:
+        apart = f"{length(fix.agreement_m)} at the end of the {fix.agreement_on}"
+        sentences.append(f"The corrections of the confounded causes differ by at most {apart}.")
+    none = "No named cause" if verdict.causes else "No effect of the library"
+    return [
+        *([_by_channel(verdict)] if verdict.causes and verdict.closure.channels else ()),
+        *map(Text, filter(None, sentences)),
+        *([_transfer(verdict)] if fix.transfer else ()),
+        *([Text(f"{none} explains {percent(unexplained.share)} of the gap.")] if unexplained else []),
+        *(items(map(prose, unexplained.where)) if unexplained else ()),
     ]
-    label = f" ({form.label})" if form.label else ""
-    sizes = table(f"Parameters{label}.", ("<Parameter", "<Typical size", "<Largest plausible"), rows)
-    return (*content, sizes, *_signature(entry, runs))
 
 
-def _signature(entry: Entry, runs: str) -> tuple[Block, ...]:
-    moved = [c for c in Channel if any(np.nan_to_num(rms[c]) > UNCHANGED for rms in entry.changes.values())]
-    if not moved:
-        return (Text(f"At its typical size it changes nothing that is measured on {runs}."),)
-    heads = ("<Kind of run", *(f"{channel.label} (m{channel.unit})" for channel in moved))
+def _on_which_runs(closure: Closure) -> str:
+    if closure.held_out == RERUN:
+        return "on all runs; root mean square with the simulator as it is, run again with the fix"
+    held_out = f"on held-out runs, each {closure.held_out} in turn"
+    return f"{held_out}; root mean square with the model alone and with the causes"
+
+
+def _by_channel(verdict: Diagnosis) -> Table:
+    closure = verdict.closure
+    rows = []
+    for line in closure.channels:
+        sizes = _sizes(line.channel.unit, line.before_rms, line.after_rms, line.floor_rms)
+        rows.append((line.channel.label, *sizes, percent(line.fraction)))
+    if closure.before_rms_m is not None and any(line.channel in POSE for line in closure.channels):
+        ends = _sizes("m", closure.before_rms_m, closure.after_rms_m or 0.0, closure.floor_rms_m or 0.0)
+        rows.append(("end position", *ends, MISSING))
+    heads = ("<Channel", "<Unit", "Before", "After", "Noise", "Closed")
+    return table(caption("table-closure", on=_on_which_runs(closure)), heads, formatting.aligned(rows, 2, 3, 4))
+
+
+def _sentence(verdict: Diagnosis) -> str:
+    closure = verdict.closure
+    if closure.fraction is None:
+        return ""
+    text = f"Each run and channel weighted by its noise, {percent(closure.fraction)} of the gap above the noise closes"
+    interval = "" if closure.ci95 is None else f" (95 % interval {' to '.join(map(percent, closure.ci95))})"
+    return f"{text}{interval}."
+
+
+def _transfer(verdict: Diagnosis) -> Table:
+    where, head = "on conditions that it was not fitted on, each held out in turn", "<Held out"
+    if verdict.closure.held_out == RERUN:
+        where, head = "where your simulator ran again with it", "<On runs of"
     rows = [
-        (kind, *("0" if rms[c] < UNCHANGED else three_digits(1e3 * float(rms[c])) for c in moved))
-        for kind, rms in entry.changes.items()
+        (trial.left_out, trial.value.replace("_", " "), length(trial.before_rms_m), length(trial.after_rms_m))
+        for trial in verdict.fix.transfer
     ]
-    return (table(f"Signature: root mean square change at the typical size on {runs}.", heads, rows),)
+    return table(caption("table-transfer", where=where), (head, "<Which", "Before", "After"), rows)
 
 
-def _typical(entry: Entry) -> str:
-    if entry.signature is None:
+#: in a table, and in one sentence; the JSON has them all
+MAX_CAUSES: Final = 24
+MAX_SETS: Final = 8
+
+
+def effect_name(effect: str) -> str:
+    """Return an effect's id without underscores and colons."""
+    return effect.replace("_", " ").replace(":", " ")
+
+
+def cause_blocks(verdict: Diagnosis) -> list[Block]:
+    """Return the named causes, their sizes, and remarks."""
+    if not verdict.causes:
+        return []
+    named = verdict.causes[:MAX_CAUSES]
+    doubtful = not all(cause.plausible for cause in named)
+    ranked = []
+    for cause in named:
+        shares = map(percent, (cause.probability, cause.share, *(cause.share_ci95 or (None, None))))
+        plausible = ["yes" if cause.plausible else "NO"] if doubtful else []
+        ranked.append((cause.title + (f" ({cause.form})" if cause.form else ""), cause.effect, *shares, *plausible))
+    title = "Which: the named causes, most probable first; the share is that of the gap above the noise level."
+    heads = ("*Cause", "<Id", "Probability", "Share", *INTERVAL, *(["<Plausible"] if doubtful else []))
+    blocks: list[Block] = [table(title, heads, ranked)]
+    rows = [
+        (cause.effect, effect_name(name), quantity.unit if quantity.unit != "1" else "", *_interval(quantity))
+        for cause in named
+        for name, quantity in cause.parameters.items()
+    ]
+    if rows:
+        columns = ("<Cause", "<Parameter", "<Unit", "Value", *INTERVAL)
+        blocks.append(table("Sizes of the causes with 95 % intervals.", columns, rows))
+    known = {name: f"{name} ({100 * p:.0f} %)" for name, p in verdict.probabilities.items()}
+    remarks = [f"{cause.effect}: {prose(cause.remark)}" for cause in verdict.causes if cause.remark]
+    remarks += [
+        f"{cause.effect}: these runs do not determine the form; "
+        f"{', '.join(known.get(name, name) for name in cause.forms_open)} fit equally well"
+        for cause in verdict.causes
+        if cause.forms_open
+    ]
+    return [*blocks, *items(remarks)]
+
+
+def confounded_blocks(verdict: Diagnosis) -> list[Block]:
+    """Return the effects that these runs confound, and the credible sets of causes."""
+    groups = items(", ".join(group) for group in verdict.groups[:MAX_CAUSES])
+    sets = [" + ".join(names) or "none" for names in verdict.credible_sets]
+    more = f"; and {len(sets) - MAX_SETS} more" if len(sets) > MAX_SETS else ""
+    one_of = Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:MAX_SETS])}{more}.")
+    title = Text("Confounded in these runs, since their signatures are the same:")
+    return [*([title, *groups] if groups else ()), *([one_of] if len(sets) > 1 else ())]
+
+
+def limit_blocks(verdict: Diagnosis) -> list[Block]:
+    """Return the detection limits of these runs, and the effects that they do not excite."""
+    blocks: list[Block] = []
+    unseen = [(limit.effect, prose(limit.smallest)) for limit in verdict.undetectable if not limit.never]
+    if unseen:
+        title = "Detection limits above the typical size: the smallest size that these runs would show."
+        blocks.append(table(title, ("<Effect", "*Smallest size that would show"), unseen[:MAX_CAUSES]))
+    if never := grouped((limit.smallest, limit.effect) for limit in verdict.undetectable if limit.never):
+        effects = items(f"{', '.join(names)}: {prose(why)}" for why, names in never.items())
+        blocks += [Text("Not excited by these runs, at any size:"), *effects]
+    return blocks
+
+
+def _interval(quantity: Quantity) -> tuple[str, ...]:
+    low, high = quantity.ci95
+    value = quantity.value
+    numbers = (value, low, high) if math.isfinite(value) else (math.nan,) * 3
+    half = 0.5 * (high - low) if math.isfinite(high - low) else abs(value)
+    small = 0 < max(abs(value), half) < 1e-3
+    return tuple(_scientific(number) if small else fixed(number, formatting.places(half)) for number in numbers)
+
+
+def _scientific(value: float) -> str:
+    if not math.isfinite(value):
         return MISSING
-    sizes = dict.fromkeys(
-        size_text(one.typical, one.unit).replace(f" per {getattr(entry.effect, 'column', '')}", " a unit")
-        for one in entry.signature.form.parameters
-    )
-    return ", ".join(sizes)
-
-
-def _why_no_form(entry: Entry) -> str:
-    if entry.effect.found_before_search:
-        return "found by trial, before the search"
-    return f"needs {entry.effect.needs}" if entry.effect.needs else "shows on other runs only"
-
-
-#: in one cell
-MAX_NAMED: Final = 4
-
-
-def outlook_content(name: str, n_runs: int, outlook: Outlook) -> tuple[Block, ...]:
-    """Return the detectability of each effect by a plan of runs."""
-    document = outlook.to_dict()
-    told_apart = set(document["told_apart"])
-    rows = []
-    for number, effect in enumerate(outlook.effects):
-        others = listed(document["confused"].get(effect, []), MAX_NAMED) or "not seen at its typical size"
-        words = "yes" if effect in told_apart else others
-        rows.append((effect, fixed(float(outlook.signal[number]), 1), prose(outlook.smallest[effect].sentence), words))
-    known = {"told": len(told_apart), "effects": len(outlook.effects) + len(outlook.absent)}
-    heads = ("<Effect", "Signal", "*Smallest size seen", "*Told apart, or confused with")
-    told = table(caption("table-outlook", name=name, runs=n_runs, **known), heads, rows)
-    why = (prose(outlook.smallest[effect].sentence) for effect in outlook.absent[:1])
-    return (told, *items(f"{', '.join(outlook.absent)}: {text}" for text in why))
+    mantissa, exponent = f"{value:.2e}".split("e")
+    raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{mantissa} × 10{raised}".replace("-", "−")
 
 
 def after_diagnosis(diagnosis: Diagnosis, *, simulator: bool = False) -> str:

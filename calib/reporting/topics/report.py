@@ -8,13 +8,16 @@ import numpy as np
 
 from calib import __version__, reporting
 from calib.campaign.checks import SIDES
+from calib.campaign.settings import WHEEL_LOADS
+from calib.radius.deviation import allowed_amplitude_m, radius_error
 from calib.radius.law import round_loads
 from calib.radius.regression import WheelFit, t_quantile
 from calib.radius.result import Fit
-from calib.reporting import Equation, Facts, Section, Text, caption, catalogue, items, paragraph, table
+from calib.reporting import Block, Equation, Facts, Section, Table, Text, caption, catalogue, items, paragraph, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits
 from calib.reporting.source import OPTIONAL, STATED, Source
 from calib.reporting.topics import fit as results
+from calib.types import FloatArray
 
 
 def item_section(source: Source) -> Section:
@@ -228,7 +231,7 @@ def _correlation(wheel: WheelFit) -> str:
     return f"{wheel.wheel.capitalize()} wheel: correlation of radius and slope {correlation}, measured at {valid}."
 
 
-def _law_budget(fit: Fit) -> reporting.Table:
+def _law_budget(fit: Fit) -> Table:
     systematic = any(len(wheel.estimate.systematic) for wheel in fit.wheels.values())
     rows = []
     for name, wheel in fit.wheels.items():
@@ -258,3 +261,68 @@ def budget_section(source: Source) -> Section:
     declared = Text(paragraph("declared" if any(": " in part.name for part in fit.radii.budget) else "undeclared"))
     blocks = (results.radius_budget(fit), results.budget_picture(fit), _law_budget(fit), declared, *_scatter(fit))
     return Section("Uncertainty budget", blocks)
+
+
+def _sessions_table(fit: Fit) -> Table:
+    heads = ("^Loads | {} (N)", "Mean residual | {} (µm)", "Scatter | {} (µm)")
+    rows = []
+    for name, part in fit.table.groupby("session", sort=False):
+        loads = (f"{part[load].min():.0f}–{part[load].max():.0f}" for load in WHEEL_LOADS)
+        left = part[["residual_left_m", "residual_right_m"]]
+        sizes = (fixed(1e6 * size, 1) for size in (*left.mean(), *left.std()))
+        rows.append((str(name), str(len(part)), *loads, *sizes))
+    first = f", the first {results.MOST_ROWS} of {len(rows)}" if len(rows) > results.MOST_ROWS else ""
+    columns = ("<Session", "Runs", *(head.format(wheel) for head in heads for wheel in SIDES))
+    title = caption("table-sessions", runs=len(fit.radii), first=first)
+    return table(title, columns, rows[: results.MOST_ROWS], dense=True)
+
+
+def runs_section(source: Source) -> Section:
+    """Return the runs used, and not used with the reason."""
+    fit, radii = source.fit, source.fit.radii
+    sessions = plural(len(set(radii.session.tolist())), "session")
+    content = (
+        Text(f"{plural(len(radii), 'run')} in {sessions} entered the fit."),
+        results.runs_picture(fit),
+        results.runs_table(fit) if len(radii) <= results.MOST_ROWS else _sessions_table(fit),
+        results.left_out_table(fit) if radii.left_out else Text("All runs were used.", small=True),
+    )
+    return Section("Runs", (*content, *([results.static_table(fit)] if fit.static else [])))
+
+
+#: relative error of a radius that the runs are compared with
+TOLERANCE: Final = 5e-4
+
+
+def deviation_section(source: Source) -> Section:
+    """Return how much longer the wheels' paths were than measured, and what was corrected."""
+    radii = source.fit.radii
+    known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
+    paths = np.array((radii.path_left, radii.path_right))
+    rows = []
+    for name in dict.fromkeys(radii.path_source.tolist()):
+        on = radii.path_source == name
+        weave = (1e3 * _median(radii.amplitude_m[on & known]), _median(radii.wavelength_m[on & known]))
+        corrected = 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))
+        sizes = (*(fixed(size, 1) for size in weave), *(fixed(float(value), 0) for value in corrected))
+        rows.append((catalogue()["path"].get(name, name), str(int(on.sum())), *sizes))
+    heads = ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)")
+    corrected = {"corrected": int((radii.path_source != "none").sum()), "runs": len(radii)}
+    text = Text(paragraph("paths", **corrected, worst=1e6 * float(np.abs(paths).max())))
+    shown = table(caption("table-corrections"), heads, rows)
+    content: list[Block] = [text, results.deviation_picture(source.fit), shown]
+    if known.any():
+        off = int((np.abs(radius_error(paths)).max(axis=0) > TOLERANCE).sum())
+        wavelength = _median(radii.wavelength_m[known])
+        values = {
+            "off": plural(off, "run") if off else "no run",
+            "tolerance": 1e6 * TOLERANCE,
+            "wavelength": wavelength,
+            "allowed": 1e3 * float(allowed_amplitude_m(TOLERANCE, wavelength)),
+        }
+        content.append(Text(paragraph("uncorrected", **values)))
+    return Section("Path deviation", tuple(content))
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if len(values) else float("nan")

@@ -1,88 +1,25 @@
-"""Runs: a check's findings, a fit's runs used and not used, deviation of their paths."""
+"""Runs: a check's findings, those of a fit, their paths, what they show of each effect, and those to drive next."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from calib import reporting
 from calib.campaign.check import CheckReport
-from calib.campaign.checks import SIDES, listed
+from calib.campaign.checks import listed
 from calib.campaign.model import Note
-from calib.campaign.settings import WHEEL_LOADS
-from calib.radius.deviation import RunDeviations, allowed_amplitude_m, radius_error
-from calib.radius.result import Fit
-from calib.reporting import Block, Notice, Section, Table, Text, caption, catalogue, items, paragraph, table
-from calib.reporting.formatting import MISSING, fixed, plural, prose, span
-from calib.reporting.source import Source
-from calib.reporting.topics import fit as results
-from calib.types import FloatArray, grouped
+from calib.radius.deviation import RunDeviations
+from calib.reporting import Block, Notice, Table, Text, caption, items, paragraph, table
+from calib.reporting.formatting import MISSING, fixed, plural, prose, span, three_digits
+from calib.types import grouped, unit_of
 
-
-def _sessions_table(fit: Fit) -> Table:
-    heads = ("^Loads | {} (N)", "Mean residual | {} (µm)", "Scatter | {} (µm)")
-    rows = []
-    for name, part in fit.table.groupby("session", sort=False):
-        loads = (f"{part[load].min():.0f}–{part[load].max():.0f}" for load in WHEEL_LOADS)
-        left = part[["residual_left_m", "residual_right_m"]]
-        sizes = (fixed(1e6 * size, 1) for size in (*left.mean(), *left.std()))
-        rows.append((str(name), str(len(part)), *loads, *sizes))
-    first = f", the first {results.MOST_ROWS} of {len(rows)}" if len(rows) > results.MOST_ROWS else ""
-    columns = ("<Session", "Runs", *(head.format(wheel) for head in heads for wheel in SIDES))
-    title = caption("table-sessions", runs=len(fit.radii), first=first)
-    return table(title, columns, rows[: results.MOST_ROWS], dense=True)
-
-
-def runs_section(source: Source) -> Section:
-    """Return the runs used, and not used with the reason."""
-    fit, radii = source.fit, source.fit.radii
-    sessions = plural(len(set(radii.session.tolist())), "session")
-    content = (
-        Text(f"{plural(len(radii), 'run')} in {sessions} entered the fit."),
-        results.runs_picture(fit),
-        results.runs_table(fit) if len(radii) <= results.MOST_ROWS else _sessions_table(fit),
-        results.left_out_table(fit) if radii.left_out else Text("All runs were used.", small=True),
-    )
-    return Section("Runs", (*content, *([results.static_table(fit)] if fit.static else [])))
-
-
-#: relative error of a radius that the runs are compared with
-TOLERANCE: Final = 5e-4
-
-
-def deviation_section(source: Source) -> Section:
-    """Return how much longer the wheels' paths were than measured, and what was corrected."""
-    radii = source.fit.radii
-    known = np.isfinite(radii.amplitude_m) & np.isfinite(radii.wavelength_m)
-    paths = np.array((radii.path_left, radii.path_right))
-    rows = []
-    for name in dict.fromkeys(radii.path_source.tolist()):
-        on = radii.path_source == name
-        weave = (1e3 * _median(radii.amplitude_m[on & known]), _median(radii.wavelength_m[on & known]))
-        corrected = 1e6 * np.sqrt(np.mean(paths[:, on] ** 2, axis=1))
-        sizes = (*(fixed(size, 1) for size in weave), *(fixed(float(value), 0) for value in corrected))
-        rows.append((catalogue()["path"].get(name, name), str(int(on.sum())), *sizes))
-    heads = ("*Correction from", "Runs", "Amplitude (mm)", "Wavelength (m)", "Left (ppm)", "Right (ppm)")
-    corrected = {"corrected": int((radii.path_source != "none").sum()), "runs": len(radii)}
-    text = Text(paragraph("paths", **corrected, worst=1e6 * float(np.abs(paths).max())))
-    shown = table(caption("table-corrections"), heads, rows)
-    content: list[Block] = [text, results.deviation_picture(source.fit), shown]
-    if known.any():
-        off = int((np.abs(radius_error(paths)).max(axis=0) > TOLERANCE).sum())
-        wavelength = _median(radii.wavelength_m[known])
-        values = {
-            "off": plural(off, "run") if off else "no run",
-            "tolerance": 1e6 * TOLERANCE,
-            "wavelength": wavelength,
-            "allowed": 1e3 * float(allowed_amplitude_m(TOLERANCE, wavelength)),
-        }
-        content.append(Text(paragraph("uncorrected", **values)))
-    return Section("Path deviation", tuple(content))
-
-
-def _median(values: FloatArray) -> float:
-    return float(np.median(values)) if len(values) else float("nan")
+if TYPE_CHECKING:
+    from calib.gap.decision.diagnosis import Plan
+    from calib.gap.effects.library import Entry
+    from calib.gap.plan import Outlook
+    from calib.kinematics.assemble import Promise
 
 
 #: entries of a list of names, and runs of one note
@@ -232,3 +169,168 @@ def after_check(report: CheckReport, columns: Iterable[str]) -> str:
         return "check"
     codes = {note.code for note in report.suspicious}
     return next((step for code, step in _LACKING.items() if code in codes), "check lengths")
+
+
+def runs_and_promises(plan: "Plan") -> tuple[Block, ...]:
+    """Return the runs to drive next, and the intervals they promise."""
+    promises = [promise_table(plan.now, plan.then)] if plan.then else []
+    mark = (reporting.simulated_notice(),) if plan.campaign.simulated else ()
+    return (*mark, next_runs_table([run.to_dict() for run in plan.runs]), *promises)
+
+
+#: unit of an effect -> (factor, printed unit) from the largest to the smallest
+PRINTED_UNITS: Final = {
+    "m": ((1.0, "m"), (1e3, "mm"), (1e6, "µm")),
+    "rad": ((1.0, "rad"), (1e3, "mrad"), (1e6, "µrad")),
+    "1": ((1e2, "%"), (1e6, "ppm")),
+}
+
+
+def size_text(value: float, unit: str) -> str:
+    """Return a size with a printed unit: ``1e-6`` of ``m/N`` as ``1 µm/N``, ``3e-3`` of ``1`` as ``0.3 %``."""
+    above, slash, below = unit.partition(" per " if " per " in unit else "/")
+    for factor, name in PRINTED_UNITS.get(above, ((1.0, above),)):
+        if factor * abs(value) >= 0.095 or name in {"µm", "µrad", "ppm"}:
+            return f"{factor * value:.3g} {name}{slash}{below}"
+    return f"{value:.3g} {unit}"
+
+
+def next_runs_table(runs: Sequence[Mapping[str, Any]]) -> Table | Text:
+    """Return the runs to drive next, best first, with the effects separated."""
+    if not runs:
+        return Text("No run of the list would separate more effects than the runs driven.")
+    return table(
+        "Runs to drive next in one session, best first.",
+        ("<Run", "Payload (kg)", "Speed (m/s)", "Hall (°C)", "Loaded (min)", "*What it separates"),
+        [_row(number, run) for number, run in enumerate(runs, start=1)],
+    )
+
+
+def promise_table(now: "Promise | None", then: "Promise") -> Table:
+    """Return the half widths that `calib geometry` will give, beside those of the runs driven."""
+    before = {} if now is None else {each.name: each.half_width for each in now.estimates}
+    rows = []
+    for each in then.estimates:
+        unit = unit_of(each.name)
+        known = size_text(before[each.name], unit) if each.name in before else MISSING
+        rows.append((each.name, *([] if now is None else [known]), size_text(each.half_width, unit)))
+    walk = 1e3 * float(np.sqrt(then.scales[2]))
+    left = f" Left open: {', '.join(then.undetermined)}." if then.undetermined else ""
+    gives, heads = ("will give", ["These"]) if now is None else ("gives", ["Runs driven", "With the next"])
+    return table(caption("table-promise", gives=gives, walk=walk, left=left), ("<Parameter", *heads), rows)
+
+
+#: key of a run to drive -> what is said of it
+_REMARKS: Final = {
+    "size": "{}", "stops": "{} stops", "loop": "closed loop", "tape": "by tape", "count": "{} times",
+    "read_rolling": "read while rolling",
+}  # fmt: skip
+
+
+def _row(number: int, run: Mapping[str, Any]) -> tuple[str, ...]:
+    extra = [words.format(run[key]) for key, words in _REMARKS.items() if run.get(key)]
+    if run.get("payload_kg"):
+        extra.append(f"payload at {run.get('payload_x_m', 0.0):g}, {run.get('payload_y_m', 0.0):g} m".replace("-", "−"))
+    what = ", ".join([f"{str(run['kind']).replace('_', ' ')} {run.get('direction', '')}".strip(), *extra])
+
+    def shown(key: str, decimals: int = 2) -> str:
+        return f"{round(run[key], decimals):g}".replace("-", "−") if run.get(key) is not None else MISSING
+
+    numbers = (shown("payload_kg"), shown("speed_mps"), shown("temperature_C", 1), shown("minutes_under_load"))
+    return (f"{number}. {what}", *numbers, prose(str(run["why"])))
+
+
+_SIGNS: Final = {-1: "- ", 0: "± ", 1: ""}
+
+
+def effects_content(entries: "Sequence[Entry]", runs: str) -> tuple[Block, ...]:
+    """Return the catalogue as a table."""
+    from calib.gap.effects.library import LIBRARY
+
+    catalogue = table(
+        f"{plural(len(entries), 'effect')}; typical size of the form that shows most on {runs}.",
+        ("<Effect", "*What it is", "<Family", "<Typical size"),
+        [(entry.effect.id, entry.effect.title, str(entry.effect.family), _typical(entry)) for entry in entries],
+    )
+    silent = items(f"{entry.effect.id}: {_why_no_form(entry)}" for entry in entries if entry.signature is None)
+    own = (entry.effect for entry in entries if entry.effect.origin != LIBRARY)
+    elsewhere = items(f"{effect.id}: from {effect.origin}" for effect in own)
+    without = (Text(f"Without a form on {runs}:"), *silent) if silent else ()
+    return (catalogue, *without, *((Text("Not from the library:"), *elsewhere) if elsewhere else ()))
+
+
+def effect_content(entry: "Entry", runs: str) -> tuple[Block, ...]:
+    """Return one effect in full."""
+    effect = entry.effect
+    facts = {
+        "From": effect.origin,
+        "Family": f"{effect.family}: {effect.family.words}",
+        "Needs": effect.needs,
+        "Separated from others by": effect.separates,
+        "Beyond plausible, suspect": effect.implausible,
+        "Shifts": ", ".join(effect.shifts),
+    }
+    known = reporting.Facts(tuple((name, value) for name, value in facts.items() if value))
+    doc = (type(effect).__doc__ or "").strip().split("\n\n")[0]
+    content: list[Block] = [reporting.Heading(f"{effect.id}: {effect.title}"), Text(" ".join(doc.split())), known]
+    if entry.signature is None:
+        return (*content, Text(f"Without a form on {runs}: {_why_no_form(entry)}."))
+    form = entry.signature.form
+    rows = [
+        (p.name.replace("_", " "), _SIGNS[p.sign] + size_text(p.typical, p.unit), size_text(p.largest, p.unit))
+        for p in form.parameters
+    ]
+    label = f" ({form.label})" if form.label else ""
+    sizes = table(f"Parameters{label}.", ("<Parameter", "<Typical size", "<Largest plausible"), rows)
+    return (*content, sizes, *_signature(entry, runs))
+
+
+def _signature(entry: "Entry", runs: str) -> tuple[Block, ...]:
+    from calib.gap.effects.library import UNCHANGED
+    from calib.gap.observations import Channel
+
+    moved = [c for c in Channel if any(np.nan_to_num(rms[c]) > UNCHANGED for rms in entry.changes.values())]
+    if not moved:
+        return (Text(f"At its typical size it changes nothing that is measured on {runs}."),)
+    heads = ("<Kind of run", *(f"{channel.label} (m{channel.unit})" for channel in moved))
+    rows = [
+        (kind, *("0" if rms[c] < UNCHANGED else three_digits(1e3 * float(rms[c])) for c in moved))
+        for kind, rms in entry.changes.items()
+    ]
+    return (table(f"Signature: root mean square change at the typical size on {runs}.", heads, rows),)
+
+
+def _typical(entry: "Entry") -> str:
+    if entry.signature is None:
+        return MISSING
+    sizes = dict.fromkeys(
+        size_text(one.typical, one.unit).replace(f" per {getattr(entry.effect, 'column', '')}", " a unit")
+        for one in entry.signature.form.parameters
+    )
+    return ", ".join(sizes)
+
+
+def _why_no_form(entry: "Entry") -> str:
+    if entry.effect.found_before_search:
+        return "found by trial, before the search"
+    return f"needs {entry.effect.needs}" if entry.effect.needs else "shows on other runs only"
+
+
+#: in one cell
+MAX_NAMED: Final = 4
+
+
+def outlook_content(name: str, n_runs: int, outlook: "Outlook") -> tuple[Block, ...]:
+    """Return the detectability of each effect by a plan of runs."""
+    document = outlook.to_dict()
+    told_apart = set(document["told_apart"])
+    rows = []
+    for number, effect in enumerate(outlook.effects):
+        others = listed(document["confused"].get(effect, []), MAX_NAMED) or "not seen at its typical size"
+        words = "yes" if effect in told_apart else others
+        rows.append((effect, fixed(float(outlook.signal[number]), 1), prose(outlook.smallest[effect].sentence), words))
+    known = {"told": len(told_apart), "effects": len(outlook.effects) + len(outlook.absent)}
+    heads = ("<Effect", "Signal", "*Smallest size seen", "*Told apart, or confused with")
+    told = table(caption("table-outlook", name=name, runs=n_runs, **known), heads, rows)
+    why = (prose(outlook.smallest[effect].sentence) for effect in outlook.absent[:1])
+    return (told, *items(f"{', '.join(outlook.absent)}: {text}" for text in why))
