@@ -21,7 +21,7 @@ from calib.campaign.settings import OdometryModel
 from calib.plant import Cause, Noise
 from calib.plant.design import Design
 from calib.plant.make import make_campaign
-from calib.plant.signal import rivals, strengths
+from calib.plant.signal import alternatives, rivals, strengths
 from calib.vehicle import Vehicle
 
 HERE = Path(__file__).resolve().parent
@@ -127,8 +127,8 @@ def main() -> None:
     given = parser.parse_args()
     if given.signal:
         found = strengths(design(), MODEL, NOISE, truth())
-        near = rivals(design(), MODEL, NOISE, truth()[0])
-        print(f"signal {found.alone[0]:.1f}; nearest other effect {near[0].distance:.1f} sigma away")
+        (_, distance), *_ = rivals(alternatives(design(), MODEL, NOISE, truth()[0]))
+        print(f"signal {found.alone[0]:.1f}; nearest other effect {distance:.1f} sigma away")
         return
     digits = {"t_s": 2}
     write_campaign(yard(), given.into, force=True, log_decimals=digits)

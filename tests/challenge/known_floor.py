@@ -65,12 +65,12 @@ def floor_known(truth: Truth) -> Iterator[None]:
     """Hand the diagnosis the true noise in place of what it estimates."""
     cov = true_covariance(truth)
 
-    def known(path: Path, gap: FloatArray, *, start: Noise | None = None) -> Noise:
+    def known(path: Path, gap: FloatArray) -> Noise:
         usable = path.s.usable
         # a run without anything measured is no unit
         held = cov[path.s.run]
         both = usable[:, :, None] & usable[:, None, :]
-        estimated = estimate_noise(path, gap, start=start)
+        estimated = estimate_noise(path, gap)
         exact = np.where(both, held, np.where(np.eye(6, dtype=bool), 1.0, 0.0))
         return replace(estimated, covariance=exact, weight=np.ones(len(held)), supported=True)
 

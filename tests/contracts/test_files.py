@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import importlib
+import importlib.util
 import re
 import subprocess
 from collections.abc import Iterator
@@ -108,3 +110,19 @@ def test_the_limits_of_a_verdict_are_eight_in_one_file_each_with_its_reason() ->
             limits.add(ast.unparse(node.target))
             assert lines[node.lineno - 2].startswith("#: "), ast.unparse(node)
     assert len(limits - {"FALSE_REJECTION", "EVEN_PROBABILITY", "HALF_CLOSURE"}) == 8
+
+
+def _missing_imports(path: Path) -> Iterator[str]:
+    """Yield what a file imports from the package that is not there."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.level == 0 and (node.module or "").partition(".")[0] == "calib":
+            module = importlib.import_module(node.module)
+            for name in (alias.name for alias in node.names if not hasattr(module, alias.name)):
+                if importlib.util.find_spec(f"{node.module}.{name}") is None:
+                    yield f"{path.relative_to(ROOT)}: {node.module}.{name}"
+
+
+def test_what_studies_and_samples_import_is_there() -> None:
+    """No test runs every study; that their calls fit is what mypy checks."""
+    files = (one for folder in ("tests", "docs", "sample_runs") for one in (ROOT / folder).rglob("*.py"))
+    assert [missing for path in files for missing in _missing_imports(path)] == []

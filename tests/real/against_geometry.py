@@ -23,7 +23,7 @@ from calib.coefficients.file import CoefficientFile
 from calib.errors import CalibError
 from calib.gap.apply import applied_model
 from calib.gap.diagnose import diagnose_in_full
-from calib.gap.effects.library import model_of, with_effects, with_sensor_of
+from calib.gap.effects.library import model_of, with_effects, with_mounting_of
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import predict, residuals
 from calib.kinematics.estimate import estimate_geometry
@@ -42,7 +42,7 @@ def squares(file: CoefficientFile | None, campaign: Campaign) -> np.ndarray:
             path = Path(folder) / "c.json"
             path.write_bytes(file.to_bytes())
             model, effects = model_of(path, campaign)
-            there = observations_of(with_sensor_of(path, campaign), model, into_windows=False)
+            there = observations_of(with_mounting_of(path, campaign)[0], model, into_windows=False)
             there, _ = with_effects(there, effects)
     nominal = predict(there)
     left = residuals(nominal, nominal)
