@@ -16,7 +16,16 @@ from calib.gap.decision import causes as naming
 from calib.gap.decision import confounding, reach_of_noise, sentences
 from calib.gap.decision.constancy import SizeDifference, size_differences, unchecked, without_refuted
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Fix, NoiseSummary, Situation, VerdictKind
-from calib.gap.decision.fix import beyond_vehicles, fix_of, noise_bounded, parting, ranked, without_length
+from calib.gap.decision.fix import (
+    beyond_vehicles,
+    fix_of,
+    noise_bounded,
+    parting,
+    ranked,
+    shown_by_many,
+    without_length,
+)
+from calib.gap.decision.held_out import Closure
 from calib.gap.decision.kind import (
     NO_GAP_SHOWN,
     NOTHING_NAMED,
@@ -94,8 +103,8 @@ def decide(evidence: Evidence) -> Diagnosis:
         fix = sure_part(evidence, found, fix)
         causes = [cause for cause in causes if is_named_beside(cause, fix, found)]
     causes, closure = ranked(causes), fix.closure or closure
-    if kind not in NOTHING_NAMED and (closure.leaves_part or (fix.recommended and any(map(fails, fix.transfer)))):
-        kind = VerdictKind.PARTLY_EXPLAINED
+    fix = shown_by_many(fix, closure)
+    kind = _as_delivered(kind, fix, closure)
     diagnosis = Diagnosis(
         kind=_beside_blunder(kind) if situation.faults else kind,
         sentence="",
@@ -144,6 +153,11 @@ def _as_shown(evidence: Evidence, kind: VerdictKind, gap_probability: float) -> 
     if kind is VerdictKind.NO_GAP and stands_off(evidence):
         return VerdictKind.UNKNOWN, 1.0 - FALSE_ALARM, noise_level
     return kind, gap_probability, noise_level
+
+
+def _as_delivered(kind: VerdictKind, fix: Fix, closure: Closure) -> VerdictKind:
+    left = closure.leaves_part or (fix.recommended and any(map(fails, fix.transfer)))
+    return VerdictKind.PARTLY_EXPLAINED if left and kind not in NOTHING_NAMED else kind
 
 
 def tied_with(causes: Sequence[Cause], groups: Sequence[Sequence[str]]) -> list[Sequence[str]]:

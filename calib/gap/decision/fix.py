@@ -85,7 +85,7 @@ def reasons(
     single = dict.fromkeys(text for cause in found.causes for text in doubts(cause, found))
     left = any(map(fails, trials)) or (closure is not None and closure.leaves_part)
     helpful = [
-        *unhelpful(improvement, closure),
+        *unhelpful(improvement),
         *remaining(improvement, found.unexplained, left=left),
         *oversized(found.causes, improvement),
     ]
@@ -174,8 +174,8 @@ def unsized(evidence: Evidence, found: Finding) -> Iterator[str]:
         )
 
 
-def unhelpful(improvement: Improvement | None, closure: Closure | None) -> Iterator[str]:
-    """Yield where a correction is not shown to help on held-out runs, nor on conditions other than these."""
+def unhelpful(improvement: Improvement | None) -> Iterator[str]:
+    """Yield where a correction is not shown to help on held-out runs."""
     if improvement is None:
         yield "no run could be held out; drive each route twice at least"
         return
@@ -185,9 +185,15 @@ def unhelpful(improvement: Improvement | None, closure: Closure | None) -> Itera
             f"on held-out runs the error goes from {_errors(improvement)}, an improvement of {low:+.2g} to "
             f"{high:+.2g}: not shown to help; repeat the routes with the largest gap"
         )
-    elif closure is not None and closure.ci95 is not None and closure.ci95[0] < 0.0:
-        low, high = (100 * share for share in closure.ci95)
-        yield f"drawn anew from these conditions it closes {low:.0f} to {high:.0f} %: too few show it; {PLAN}"
+
+
+def shown_by_many(fix: Fix, closure: Closure) -> Fix:
+    """Return a fix, not recommended where it rests on few of the conditions driven: without them others get worse."""
+    low, high = (100 * share for share in closure.ci95 or (0.0, 1.0))
+    if not fix.recommended or low >= 0.0:
+        return fix
+    why = f"drawn anew from these conditions it closes {low:.0f} to {high:.0f} %: too few show it; {PLAN}"
+    return replace(fix, recommended=False, why=(why,))
 
 
 def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Iterator[str]:

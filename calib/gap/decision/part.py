@@ -64,7 +64,7 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     left_out, improvement, tried, worse = _tried(evidence, names, beside)
     left = () if dropped else rule.remaining(improvement, unexplained)
     odds = rule.needed(improvement) if by_odds else ()
-    helpful = [*rule.unhelpful(improvement, evidence.held_out.closure), *rule.oversized(kept, improvement)]
+    helpful = [*rule.unhelpful(improvement), *rule.oversized(kept, improvement)]
     why = [*helpful, *worse, *left, *odds, *rule.harm(tried), *beyond]
     if why and steps:
         return replace(whole, why=(*whole.why, *(f"beside {', '.join(sorted(steps))}: {text}" for text in why)))
@@ -118,13 +118,13 @@ def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
     acts = bool(unnamed) or not _others_at_zero(evidence, names)
     rest = f"the rest is what {beside} would take"
     left = (*rule.remaining(improvement, found.unexplained, rest), *_resized(evidence, left_out.fitted)) if acts else ()
-    closing = evidence.held_out.closing
-    closure = closing and closing(*left_with_others(left_out, sessions=_by_session(evidence, names)))
-    why = (*rule.unhelpful(improvement, closure), *left, *rule.harm(tried))
+    why = (*rule.unhelpful(improvement), *left, *rule.harm(tried))
     if why:
         lead = f"without {unnamed}, which is not named" if unnamed else "with no other change of radii and track"
         return replace(fix, recommended=False, why=tuple(f"{lead}: {text}" for text in why))
     corrects = tuple(cause.effect for cause in found.causes)
+    closing = evidence.held_out.closing
+    closure = closing and closing(*left_with_others(left_out, sessions=_by_session(evidence, names)))
     return replace(
         fix, corrects=corrects, fitted=left_out.fitted, held_out=improvement, transfer=tried, closure=closure
     )

@@ -11,8 +11,8 @@ import pytest
 from calib.gap.decision import Trial
 from calib.gap.decision.causes import Finding, _means
 from calib.gap.decision.constancy import SizeDifference
-from calib.gap.decision.diagnosis import Cause, Quantity, Unexplained
-from calib.gap.decision.fix import PLAN, alternatives, elsewhere, harmed, holds_zero, ranked, reasons
+from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
+from calib.gap.decision.fix import PLAN, alternatives, elsewhere, harmed, holds_zero, ranked, reasons, shown_by_many
 from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement
 from calib.gap.effects import Form, Parameter, always
 from calib.gap.effects.library import effect_class
@@ -62,8 +62,8 @@ def test_what_does_not_help_enough_is_no_fix(improvement: Improvement | None, wo
 @pytest.mark.parametrize(("low", "said"), [(-1.26, True), (0.05, False)])
 def test_a_gap_that_few_conditions_show_is_no_reason_to_correct_all(low: float, said: bool) -> None:
     """Drawn anew, conditions without those few get worse by the fix."""
-    why = reasons(Finding([cause()], {"load_radius": 0.9}), CLOSES, closure=Closure(ci95=(low, 1.0)))
-    assert why == ["drawn anew from these conditions it closes -126 to 100 %: too few show it; " + PLAN] * said
+    why = shown_by_many(Fix(recommended=True), Closure(ci95=(low, 1.0))).why
+    assert [*why] == ["drawn anew from these conditions it closes -126 to 100 %: too few show it; " + PLAN] * said
 
 
 def test_beside_a_small_unexplained_residual_more_than_half_of_the_gap_closes_for_certain() -> None:
