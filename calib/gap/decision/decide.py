@@ -156,7 +156,7 @@ def _as_shown(evidence: Evidence, kind: VerdictKind, gap_probability: float) -> 
 
 
 def _as_delivered(kind: VerdictKind, fix: Fix, closure: Closure) -> VerdictKind:
-    left = closure.leaves_part or (fix.recommended and any(map(fails, fix.transfer)))
+    left = closure.leaves_part or closure.rests_on_few or (fix.recommended and any(map(fails, fix.transfer)))
     return VerdictKind.PARTLY_EXPLAINED if left and kind not in NOTHING_NAMED else kind
 
 

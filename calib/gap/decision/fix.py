@@ -189,9 +189,9 @@ def unhelpful(improvement: Improvement | None) -> Iterator[str]:
 
 def shown_by_many(fix: Fix, closure: Closure) -> Fix:
     """Return a fix, not recommended where it rests on few of the conditions driven: without them others get worse."""
-    low, high = (100 * share for share in closure.ci95 or (0.0, 1.0))
-    if not fix.recommended or low >= 0.0:
+    if not (fix.recommended and closure.rests_on_few and closure.ci95):
         return fix
+    low, high = (100 * share for share in closure.ci95)
     why = f"drawn anew from these conditions it closes {low:.0f} to {high:.0f} %: too few show it; {PLAN}"
     return replace(fix, recommended=False, why=(why,))
 

@@ -79,6 +79,11 @@ class Closure:
         """Whether part of the gap is left, beyond the closure's interval."""
         return (self.ci95[1] if self.ci95 else 1.0) < FULL_CLOSURE or self.largest_residual > NOISE_LEVELS
 
+    @property
+    def rests_on_few(self) -> bool:
+        """Whether few of the conditions driven show it: drawn anew, others may get worse."""
+        return self.ci95 is not None and self.ci95[0] < 0.0
+
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
         return plain_fields(

@@ -127,6 +127,8 @@ def _unexplained(diagnosis: Diagnosis) -> str:
             return f"{left:.0f} times the noise is left on held-out runs"
         if diagnosis.closure.leaves_part:
             return "part of the gap remains on held-out runs"
+        if diagnosis.closure.rests_on_few:
+            return "few of the conditions driven show it"
         return "part of it may have another cause"
     placed = next((place for place in diagnosis.unexplained.where if place.startswith(ON_FLOOR)), "")
     return "an unexplained residual remains" + (_located(diagnosis.where.rest) or (placed and f", most {placed}"))
