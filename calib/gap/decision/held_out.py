@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.documents import plain_fields
-from calib.gap.inference import FULL_CLOSURE, NOISE_LEVELS
+from calib.gap.inference import FULL_CLOSURE, NEGLIGIBLE_GROWTH, NOISE_LEVELS
 from calib.gap.inference.fit import squares_by_unit
 from calib.gap.inference.least_squares import HeldOutFit
 from calib.gap.inference.noise import Noise
@@ -82,7 +82,7 @@ class Closure:
     @property
     def rests_on_few(self) -> bool:
         """Whether few of the conditions driven show it: drawn anew, others may get worse."""
-        return self.ci95 is not None and self.ci95[0] < 0.0
+        return self.ci95 is not None and self.ci95[0] < -NEGLIGIBLE_GROWTH
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
