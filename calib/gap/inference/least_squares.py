@@ -10,8 +10,7 @@ import numpy as np
 from calib.gap.effects import Form
 from calib.gap.inference import fit as fitting
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, by_form, whitened
-from calib.gap.inference.lack_of_fit import LACK_OF_FIT_SCALES, Blocks, LackOfFit, lack_of_fit_components
-from calib.gap.inference.noise import Noise
+from calib.gap.inference.noise import LACK_OF_FIT_SCALES, Blocks, LackOfFit, Noise, lack_of_fit_components
 from calib.gap.inference.scalar_products import Layout, Reduced, Sums, above_rounding, scalar_products
 from calib.gap.observations import Observations
 from calib.gap.predict import Path, residuals
