@@ -259,12 +259,12 @@ def make(
     """
     from calib.challenge import make
 
-    def told(digest: str) -> None:
+    def say_sealed(digest: str) -> None:
         cli.say(f"truth sealed, SHA-256 {digest}")
 
     force = cli.forced()
     with cli.progress("making") as tick:
-        sealed_set = make(seeds, into, cases, truth, workers=workers, force=force, progress=tick, sealed=told)
+        sealed_set = make(seeds, into, cases, truth, workers=workers, force=force, progress=tick, sealed=say_sealed)
     cli.say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}")
     cli.then("challenge make", c=into)
     cli.emit_json(plain(sealed_set))

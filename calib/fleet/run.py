@@ -72,11 +72,6 @@ def campaign_of(part: Part, known: dict[Path, Campaign], *, lenient: bool = Fals
     return replace(completed(campaign, part.name, border), notes=tuple(border.notes))
 
 
-def _sums_given_up(part: Part, why: str) -> Kept:
-    # without a key: the next run tries it again
-    return Kept.of(PartSums(part.name, "", 0.0, 0.0, why=why))
-
-
 Vehicle = tuple[str, Sequence[Kept]]
 
 
@@ -115,7 +110,11 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
         parts = {part.name: part for member in members for part in member.parts}
-        sums, n_new = renewed(into / SUMS, parts, opened, _sums_of_parts, _sums_given_up, progress, "files")
+
+        def given_up(part: Part, why: str) -> Kept:  # without a key: the next run tries it again
+            return Kept.of(PartSums(part.name, "", 0.0, 0.0, why=why))
+
+        sums, n_new = renewed(into / SUMS, parts, opened, _sums_of_parts, given_up, progress, "files")
         vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
         done = opened.run(records_of, vehicles, lambda one, why: VehicleRecord(one[0], 0, None, None, why))
         records = {record.vehicle: record for record in done}

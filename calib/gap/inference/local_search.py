@@ -150,8 +150,8 @@ class LocalSearch:
         if len(model) < MOST_EFFECTS:
             models += [(*model, k) for k in self.offered if name[k] not in held]
         for own in model:
-            rest = tuple(j for j in model if j != own)
-            models += [(*rest, k) for k in self.offered if k != own and (name[k] not in held or name[k] == name[own])]
+            others = tuple(j for j in model if j != own)
+            models += [(*others, k) for k in self.offered if k != own and (name[k] not in held or name[k] == name[own])]
         return models
 
     def _pairs(self) -> list[Model]:

@@ -117,10 +117,10 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
         size = int(np.clip(_BATCH_ENTRIES // (len(value) * entries), 1, _BATCH_SIZE))
         n_scales = max(_BATCH_ENTRIES // (size * entries), 1)
         for first in range(0, len(places), size):
-            some = slice(first, first + size)
+            batch = slice(first, first + size)
             for low in range(0, len(value), n_scales):
                 scales = slice(low, low + n_scales)
-                value[scales, places[some]] = _batch(sums.pick(scales), columns, index[some], owner[some])
+                value[scales, places[batch]] = _batch(sums.pick(scales), columns, index[batch], owner[batch])
     value += sums.log_prior[:, None] + prior
     if wide.any():
         with_wide = [model for model, is_wide in zip(models, wide, strict=True) if is_wide]
@@ -131,21 +131,21 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
 def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) -> FloatArray:
     if index.shape[1] == 0:
         return log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
-    there = index >= 0
+    present = index >= 0
     # models last in memory: a column of all at once
     places = index.T
     gram = np.moveaxis(sums.gram[:, places[:, None], places[None]], 3, 1)
-    gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), there)
+    gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), present)
     variance = _variance(ridge_solve(gram, right, _RIDGE), owner, columns, index)
-    sign, square, log_det = np.where(there, columns.sign[index], 0), sums.square[:, None], sums.log_det[:, None]
+    sign, square, log_det = np.where(present, columns.sign[index], 0), sums.square[:, None], sums.log_det[:, None]
     return _log_evidence(gram, right, variance, sign, square, log_det, sums.n_rows)
 
 
-def _padded(gram: FloatArray, right: FloatArray, there: BoolArray) -> tuple[FloatArray, FloatArray]:
-    if not there.all():
-        gram = gram * (there[:, :, None] & there[:, None, :])
-        gram += np.eye(there.shape[1]) * np.where(there, 0.0, 1.0)[:, None, :]
-        right = right * there
+def _padded(gram: FloatArray, right: FloatArray, present: BoolArray) -> tuple[FloatArray, FloatArray]:
+    if not present.all():
+        gram = gram * (present[:, :, None] & present[:, None, :])
+        gram += np.eye(present.shape[1]) * np.where(present, 0.0, 1.0)[:, None, :]
+        right = right * present
     return gram, right
 
 
@@ -204,23 +204,23 @@ def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: Int
     assert sums.wide is not None
     own, across = sums.wide.at(n)
     eigen, axes = np.linalg.eigh(own)
-    eigen, turned, there = np.maximum(eigen, 0.0), axes.T @ across, index >= 0
+    eigen, turned, present = np.maximum(eigen, 0.0), axes.T @ across, index >= 0
     gram, right = sums.gram[n][index[:, :, None], index[:, None, :]], sums.right[n][index]
     beside, gap = turned[:, index].transpose(1, 0, 2), turned[:, -1]
 
     def reduced(share: FloatArray) -> tuple[FloatArray, FloatArray]:
         less = beside.transpose(0, 2, 1) * share[:, None, :]
-        return _padded(gram - less @ beside, right - less @ gap, there)
+        return _padded(gram - less @ beside, right - less @ gap, present)
 
     share = np.broadcast_to(1.0 / (eigen + _RIDGE), (len(index), len(eigen)))
     sizes = ridge_solve(*reduced(share), _RIDGE)
-    own_sizes = share * (gap - (beside @ (sizes * there)[:, :, None])[:, :, 0])
+    own_sizes = share * (gap - (beside @ (sizes * present)[:, :, None])[:, :, 0])
     most = float(priors.most[priors.layout.starts[priors.layout.wide]])
     scale = np.clip(np.sqrt((own_sizes**2).mean(axis=1)), _LEAST_SCALE, most)[:, None]
     share = 1.0 / (eigen + scale**-2)
     square = sums.square[n] - share @ gap**2
     log_det = sums.log_det[n] + np.log1p(scale**2 * eigen).sum(axis=1)
-    variance, sign = _variance(sizes, owner, priors, index), np.where(there, priors.sign[index], 0)
+    variance, sign = _variance(sizes, owner, priors, index), np.where(present, priors.sign[index], 0)
     gram, right = reduced(share)
     value = _log_evidence(gram[None], right[None], variance[None], sign, square, log_det, sums.n_rows)
     return np.asarray(value[0])

@@ -144,8 +144,8 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
         whole = repeatability.ScaleLikelihood(path, gap, shapes, grouped, trends)
         if whole.dof < enough:
             continue
-        some = repeatability.thinned_replicates(grouped)
-        part = whole if some is grouped else repeatability.ScaleLikelihood(path, gap, shapes, some, trends)
+        thinned = repeatability.thinned_replicates(grouped)
+        part = whole if thinned is grouped else repeatability.ScaleLikelihood(path, gap, shapes, thinned, trends)
         log_scale = repeatability.most_likely_scales(whole if part.dof < MIN_DOF else part, prior)
         weight = np.ones(len(gap))
         weight[whole.grouped.units] = whole.weights(log_scale)
