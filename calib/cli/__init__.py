@@ -108,11 +108,11 @@ KEPT: Final[ContextVar[list[str]]] = ContextVar("kept")
 INTERRUPTED: Final[ContextVar[Callable[[], bool]]] = ContextVar("interrupted")
 
 #: widest line, so that sentences can be read on a wide screen
-WIDEST: Final = 110
-NARROWEST: Final = 40
-DEFAULT: Final = 80
+MOST_COLUMNS: Final = 110
+FEWEST_COLUMNS: Final = 40
+USUAL_COLUMNS: Final = 80
 #: columns of a progress bar; with the longest stage it fits into 80
-BAR: Final = 24
+BAR_COLUMNS: Final = 24
 _STYLES: Final = {"heading": "bold", "caption": "bold", "dim": "dim", "good": "green", "note": "yellow", "bad": "red",
                   "simulated": "magenta"}  # fmt: skip
 _ASCII: Final = str.maketrans(
@@ -210,7 +210,7 @@ def show(blocks: "Iterable[Block | Section]") -> None:
 
     _heed()
     stream = sys.stderr if wants_stdout() else sys.stdout
-    lines = text_lines(blocks, min(max(get_terminal_size((DEFAULT, 24)).columns, NARROWEST), WIDEST))
+    lines = text_lines(blocks, min(max(get_terminal_size((USUAL_COLUMNS, 24)).columns, FEWEST_COLUMNS), MOST_COLUMNS))
     if stream.isatty() and "NO_COLOR" not in os.environ and os.environ.get("TERM") != "dumb":
         from rich.console import Console
         from rich.text import Text
@@ -301,7 +301,7 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
     columns = (
         bars.SpinnerColumn(),
         bars.TextColumn("{task.description}", markup=False),
-        bars.BarColumn(bar_width=BAR),
+        bars.BarColumn(bar_width=BAR_COLUMNS),
         bars.MofNCompleteColumn(),
         bars.TimeElapsedColumn(),
         bars.TimeRemainingColumn(compact=True),

@@ -156,7 +156,7 @@ class FleetView:
         return plain_fields(self, outliers=outliers)
 
 
-def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> FleetView:
+def view_of(records: Sequence[VehicleRecord], labels: Labels) -> FleetView:
     """Return the fleet's view of all its vehicles."""
     fitted = sorted((record for record in records if record.status == "fitted"), key=lambda record: record.vehicle)
     drifting = _drifting(fitted)
@@ -168,7 +168,7 @@ def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> F
             values[name] = np.array([getattr(line, f"{what}_{unit}") for line in lines])
             std[name] = np.array([getattr(line, f"{what}_std_{of_unit}") for line in lines])
     names, drift = [record.vehicle for record in fitted], frozenset(one.vehicle for one in drifting)
-    found = quantities_of(names, values, std, labels or {}, drift)
+    found = quantities_of(names, values, std, labels, drift)
     n_failed = len(records) - len(fitted)
     return FleetView(len(records), len(fitted), n_failed, found.populations, found.outliers, drifting, found.common)
 
