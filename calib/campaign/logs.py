@@ -5,7 +5,7 @@ import re
 import sys
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -312,12 +312,8 @@ class LogStack:
         return Logs(offsets=offsets, columns=columns)
 
 
-@dataclass(frozen=True, slots=True)
-class _ReadLog:
-    columns: Mapping[str, FloatArray]
-    notes: tuple[Note, ...]
-    sha256: str = ""  #: of the file's bytes; empty where it cannot be read
-    error: BadFileError | None = None
+#: columns, or why a log cannot be used; notes; the SHA-256 of the file's bytes, empty where it cannot be read
+_ReadLog = tuple[Mapping[str, FloatArray] | BadFileError, Sequence[Note], str]
 
 
 #: parsers and hashes release the interpreter; beyond some threads only what holds it is left
@@ -335,12 +331,13 @@ def read_logs(
     """Return logs, see `LogStack`, and the SHA-256 of each by name; one that cannot be used is a fault."""
     stack, hashes = LogStack(n_runs), dict[str, str]()
     for (index, run_id, _, name), log in zip(stepped(files, progress, "logs"), _read_all(files), strict=True):
-        border.notes.extend(log.notes)
-        hashes |= {name: log.sha256} if log.sha256 else {}
-        if log.error is None:
-            stack.add(index, log.columns)
+        columns, notes, sha256 = log
+        border.notes.extend(notes)
+        hashes |= {name: sha256} if sha256 else {}
+        if isinstance(columns, BadFileError):
+            border.fault(columns, "unreadable_log", run_id)
         else:
-            border.fault(log.error, "unreadable_log", run_id)
+            stack.add(index, columns)
     return stack.finished(encoder, {index: (run_id, name) for index, run_id, _, name in files}, border), hashes
 
 
@@ -370,15 +367,15 @@ def _read_some(files: Sequence[LogFile], *, together: bool) -> list[_ReadLog]:
     # an odd log may have asked for the parser of many
     if (together or "pandas" in sys.modules) and len(files) > 1:
         raws = read_batch([file[2:] for file in files], in_log)
-    logs = []
+    logs: list[_ReadLog] = []
     for (_, _, path, name), (state, sha256), raw in zip(files, states, raws, strict=True):
         own = Border(lenient=False)
         # a file that changed while read is not named under its earlier hash
         try:
             columns = read_log(path, name, own, raw)
-            logs.append(_ReadLog(columns, tuple(own.notes), sha256 if _state(path) == state else _sha256(path)))
+            logs.append((columns, own.notes, sha256 if _state(path) == state else _sha256(path)))
         except BadFileError as error:
-            logs.append(_ReadLog({}, tuple(own.notes), sha256, error))
+            logs.append((error, own.notes, sha256))
     return logs
 
 

@@ -287,9 +287,7 @@ def _turn_by_wheels(campaign: Campaign) -> FloatArray:
     return 2.0 * np.pi * (right * model.radius_right_m - left * model.radius_left_m) / model.track_m
 
 
-def read_or_ingest(
-    path: Path, *, mapping: Path | None = None, lenient: bool = False, progress: Progress = silent
-) -> Campaign:
+def read_or_ingest(path: Path, *, mapping: Path | None, lenient: bool = False, progress: Progress = silent) -> Campaign:
     """Read a campaign folder, or make a campaign of a recording or table as `ingest` would, and read that.
 
     ``root`` is None where it was made on the way. Raises BadInputError where a campaign folder is given with a mapping,

@@ -86,7 +86,7 @@ class Truth:
         return TypeAdapter(Truth).validate_python({**data, "recipe": recipe, "noise": noise})
 
 
-def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int = 0) -> Design:
+def case_design(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Design:
     """Return the runs of a case."""
     rng = np.random.default_rng([seed, recipe.number, 0, redraw])
     needs = {need for name in recipe.effects for need in find(*name.split("/")).needs}

@@ -27,7 +27,7 @@ from calib.types import Progress, silent
 Achieved = dict[str, float | None]
 
 
-def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = ()) -> Achieved | None:
+def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...]) -> Achieved | None:
     """Return the gap of a fresh campaign under the model alone and under the fix, not refitted.
 
     ``before_rms_m``, ``after_rms_m`` are of the end position (else of the distance), those ``over_floor`` of all
@@ -36,13 +36,13 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
     """
     if not diagnosis.causes:
         return None
-    there = observations_of(fresh)
-    effects = {e.id: e for e in library(there, exclude=exclude, declared=fresh.extra.get("effects", ()))}
-    forms = [form for form in forms_on(there, effects, diagnosis.correction.forms) if form is not None]
-    if len(forms) < len(diagnosis.correction.forms) or len(there) != len(diagnosis.observations):
+    observations = observations_of(fresh)
+    effects = {e.id: e for e in library(observations, exclude=exclude, declared=fresh.extra.get("effects", ()))}
+    forms = [form for form in forms_on(observations, effects, diagnosis.correction.forms) if form is not None]
+    if len(forms) < len(diagnosis.correction.forms) or len(observations) != len(diagnosis.observations):
         return None
-    nominal = predict(there)
-    fixed = hypothesis_path(there, diagnosis.correction.calibration, forms, diagnosis.correction.theta, nominal)
+    nominal = predict(observations)
+    fixed = hypothesis_path(observations, diagnosis.correction.calibration, forms, diagnosis.correction.theta, nominal)
     before, after = residuals(nominal, nominal), residuals(fixed, nominal)
     white = whitened_rows(nominal, diagnosis.noise, np.stack([before, after], axis=2))
     squares, floor = np.sum(white**2, axis=0), float(len(white))
@@ -50,8 +50,8 @@ def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...] = (
     fraction = None if gap < 0.5 * floor else float(np.clip(1 - max(float(squares[1]) - floor, 0.0) / gap, -1.0, 1.0))
     norms = np.sqrt(squares / max(floor, 1.0))
     return {
-        "before_rms_m": end_rms_m(before, there),
-        "after_rms_m": end_rms_m(after, there),
+        "before_rms_m": end_rms_m(before, observations),
+        "after_rms_m": end_rms_m(after, observations),
         "before_over_floor": float(norms[0]),
         "after_over_floor": float(norms[1]),
         "fraction": fraction,

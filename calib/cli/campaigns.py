@@ -5,8 +5,8 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Final
 
-from calib.cli import terminal
-from calib.cli.terminal import Count, Number, Numbers, Place, Text, arg, opt
+from calib import cli
+from calib.cli import Count, Number, Numbers, Place, Text, arg, opt
 from calib.errors import BadInputError, refuse_more, refuse_workers
 from calib.reporting import drawn
 
@@ -23,11 +23,11 @@ def init(folder: Annotated[Path, arg("FOLDER", "Campaign folder to make.")]) -> 
     """
     from calib.campaign.ingest.describe import write_blank
 
-    written = write_blank(folder, force=terminal.forced())
-    terminal.emit_json({"campaign": str(folder), "written": [str(path) for path in written]})
-    if not terminal.wants_stdout():
-        terminal.wrote(written)
-        terminal.then("init", c=folder)
+    written = write_blank(folder, force=cli.forced())
+    cli.emit_json({"campaign": str(folder), "written": [str(path) for path in written]})
+    if not cli.wants_stdout():
+        cli.wrote(written)
+        cli.then("init", c=folder)
 
 
 def ingest(
@@ -49,7 +49,7 @@ def ingest(
     Example: calib ingest export.xlsx logger/ --mapping lab.toml --into hall3
     """
     if describe:
-        terminal.refuse_options("with --describe", {"--into": into, "--mapping": mapping, "--dry-run": dry_run})
+        cli.refuse_options("with --describe", {"--into": into, "--mapping": mapping, "--dry-run": dry_run})
         _describe(sources)
         return
     if into is None:
@@ -60,8 +60,8 @@ def ingest(
     from calib.campaign.ingest import build
     from calib.documents import plain
 
-    with terminal.progress("reading") as tick:
-        ingested = build.ingest(sources, into, mapping=mapping, force=terminal.forced(), dry_run=dry_run, progress=tick)
+    with cli.progress("reading") as tick:
+        ingested = build.ingest(sources, into, mapping=mapping, force=cli.forced(), dry_run=dry_run, progress=tick)
     document = {
         "campaign": str(ingested.folder),
         "n_runs": ingested.n_runs,
@@ -72,34 +72,34 @@ def ingest(
         "cuts": plain(ingested.cuts),
         "notes": [{name: getattr(note, name) for name in ("level", "where", "text")} for note in ingested.notes],
     }
-    terminal.emit_json(document)
-    if terminal.wants_stdout():
+    cli.emit_json(document)
+    if cli.wants_stdout():
         return
     for note in build.merged_notes(ingested.notes):
-        terminal.say(f"{note.where}: {note.text}")
+        cli.say(f"{note.where}: {note.text}")
     if cuts := ingested.cuts:
         shown = listed([f"{cut.run_id} {cut.start_s:.1f}-{cut.end_s:.1f} s" for cut in cuts], _LISTED_RUNS)
-        terminal.say(f"Cut into runs: {shown}.")
+        cli.say(f"Cut into runs: {shown}.")
     end = "; nothing was written" if dry_run else ""
-    terminal.say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs{end}")
-    terminal.then("ingest --dry-run" if dry_run else "ingest", c=ingested.folder)
+    cli.say(f"{ingested.folder}: {ingested.n_runs} runs, {ingested.n_logs} logs{end}")
+    cli.then("ingest --dry-run" if dry_run else "ingest", c=ingested.folder)
 
 
 def _describe(sources: list[Path]) -> None:
     from calib.campaign.ingest.describe import describe
 
-    with terminal.progress("looking"):
+    with cli.progress("looking"):
         description = describe(sources)
-    terminal.emit_json(description.to_dict())
-    if not terminal.wants_stdout():
-        terminal.emit_text(description.to_toml())
-        terminal.then("ingest --describe", aside=True, sources=description.sources)
+    cli.emit_json(description.to_dict())
+    if not cli.wants_stdout():
+        cli.emit_text(description.to_toml())
+        cli.then("ingest --describe", aside=True, sources=description.sources)
 
 
 def check(
     campaign: Annotated[Path, arg("CAMPAIGN", "Campaign folder (campaign.toml, runs.csv, logs), or a recording.")],
     strict: Annotated[bool, opt(None, "Exit status 1 on suspicious things, too.", "--strict")] = False,
-    mapping: terminal.MappingOption = None,
+    mapping: cli.MappingOption = None,
 ) -> int:
     """Say what was found in a campaign, what is wrong and what is suspicious; nothing is changed.
 
@@ -115,12 +115,12 @@ def check(
     from calib.reporting.source import refused_settings
     from calib.reporting.topics.runs import after_check, check_content
 
-    with terminal.progress("checking") as tick:
+    with cli.progress("checking") as tick:
         read = read_or_ingest(campaign, mapping=mapping, lenient=True, progress=tick)
         report = check_campaign(read, tick, refused_settings(read))
     parts = ("campaign", "simulated", "sound", "verdict", "found", "wrong", "suspicious", "info")
-    terminal.answer({part: plain(getattr(report, part)) for part in parts}, check_content(report))
-    terminal.then(after_check(report, {*read.logs.columns, *read.runs.labels, *read.runs.numbers}), c=campaign)
+    cli.answer({part: plain(getattr(report, part)) for part in parts}, check_content(report))
+    cli.then(after_check(report, {*read.logs.columns, *read.runs.labels, *read.runs.numbers}), c=campaign)
     return 1 if report.verdict == "wrong" or (strict and report.verdict != "sound") else 0
 
 
@@ -149,7 +149,7 @@ def deviation(
     from calib.radius import deviation as table
     from calib.reporting.topics.runs import arc_content, runs_content, weave_content
 
-    with terminal.progress("reading"):
+    with cli.progress("reading"):
         read = None if campaign is None else read_campaign(campaign)
         judged = None if read is None else table.judge_runs(read, tolerance)
     distance_m, track_m = table.table_setting(read, distance, track)
@@ -168,10 +168,10 @@ def deviation(
             "notes": list(judged.notes),
             "passed": judged.passed,
         }
-    terminal.answer(document, content)
+    cli.answer(document, content)
     unknown = judged is not None and "unknown" in judged.verdict
     step = "deviation unknown" if unknown else "deviation CAMPAIGN" if campaign else "deviation"
-    terminal.then(step, c=campaign or "")
+    cli.then(step, c=campaign or "")
     return 0 if judged is None or judged.passed else 1
 
 
@@ -197,7 +197,7 @@ def loads(
     track: Annotated[Number, opt("M", "Track.")] = None,
     wheelbase: Annotated[Number, opt("M", "Wheelbase.")] = None,
     max_load: Annotated[Number, opt("N", "Permissible wheel load.")] = None,
-    figures: terminal.Figures = None,
+    figures: cli.Figures = None,
 ) -> None:
     """Compute static wheel loads (Eqs 1 and 2 with the force balance), or the payload from weighed wheels.
 
@@ -216,39 +216,39 @@ def loads(
     at = {"--payload": payload, "--x": x, "--y": y}
     swept_by = {"--from": first, "--to": last, "--steps": steps}
     if weighed is not None:
-        terminal.refuse_options("with --weighed", {**at, "--sweep": sweep, **swept_by, "--figures": figures})
-        front, left, right = terminal.numbers(weighed, 3, "--weighed")
+        cli.refuse_options("with --weighed", {**at, "--sweep": sweep, **swept_by, "--figures": figures})
+        front, left, right = cli.numbers(weighed, 3, "--weighed")
         known = payload_from_wheel_loads(meant, front, left, right, sigma_N=sigma or 0.0)
         document = {"vehicle": asdict(meant), **asdict(known), "sigma_N": sigma or 0.0}
-        terminal.answer(document, weighed_content(known, known=bool(sigma)))
-        terminal.then("loads --weighed")
+        cli.answer(document, weighed_content(known, known=bool(sigma)))
+        cli.then("loads --weighed")
         return
-    terminal.refuse_options("without --weighed", {"--sigma": sigma})
+    cli.refuse_options("without --weighed", {"--sigma": sigma})
     if sweep is None:
-        terminal.refuse_options("without --sweep", swept_by)
+        cli.refuse_options("without --sweep", swept_by)
     elif sweep in COLUMNS:
-        terminal.refuse_options(f"with --sweep {sweep}", {f"--{sweep}": at[f"--{sweep}"]})
+        cli.refuse_options(f"with --sweep {sweep}", {f"--{sweep}": at[f"--{sweep}"]})
     if sweep is not None and (sweep not in COLUMNS or first is None or last is None):
-        near = "" if sweep in COLUMNS else terminal.nearest(sweep, COLUMNS)
+        near = "" if sweep in COLUMNS else cli.nearest(sweep, COLUMNS)
         raise BadInputError(f"--sweep: found {sweep!r}; expected payload, x or y, with --from and --to{near}")
     stem = STEMS.get(sweep or "", "loads")
-    terminal.refuse_outputs(figures=figures, names=[stem])
+    cli.refuse_outputs(figures=figures, names=[stem])
     swept_column, span = COLUMNS[sweep] if sweep else "", (first or 0.0, last or 0.0)
     placed = (value or 0.0 for value in at.values())
     swept = sweep_loads(meant, *placed, swept=swept_column, span=span, steps=21 if steps is None else steps)
-    written = terminal.draw(figures, lambda: {stem: drawn("studies.load_figure", swept)})
+    written = cli.draw(figures, lambda: {stem: drawn("studies.load_figure", swept)})
     document = {"vehicle": asdict(meant), "swept": swept.swept or None, "loads": swept.rows()}
-    terminal.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
-    terminal.then("loads")
+    cli.answer(document | {"figures": list(map(str, written))}, loads_content(meant, swept))
+    cli.then("loads")
 
 
 def run(
     folder: Annotated[Path, arg("FOLDER", "One campaign folder a vehicle, or a dataset partitioned by vehicle.")],
     into: Annotated[Path, opt("FOLDER", "Result folder; a later run goes on there.")],
     what: Annotated[str, opt(None, "fit, check, geometry or diagnose.")] = "fit",
-    workers: terminal.Workers = 1,
+    workers: cli.Workers = 1,
     scheduler: Annotated[str, opt("TCP", "Dask scheduler, tcp://host:port.")] = "",
-    date: terminal.Date = None,
+    date: cli.Date = None,
 ) -> int:
     """Do a task for every vehicle of a fleet: fit, check, geometry or diagnosis; then say what the fleet shows.
 
@@ -266,15 +266,15 @@ def run(
 
     issued, stem = issue_date(date), "fleet" if what == "fit" else what
     names = [f"{stem}.json", f"{stem}.pdf", f"{stem}.html", *(["vehicles.csv"] if what == "fit" else [])]
-    terminal.refuse_outputs(*(into / name for name in names))
-    terminal.keep(f"what was read so far, in {into}; the same command goes on")
-    with terminal.progress("fleet") as tick:
+    cli.refuse_outputs(*(into / name for name in names))
+    cli.keep(f"what was read so far, in {into}; the same command goes on")
+    with cli.progress("fleet") as tick:
         do: Callable[..., Fleet | Survey] = fit_fleet if what == "fit" else partial(survey_fleet, what=what)
         fleet = do(folder, into, workers=workers, scheduler=scheduler, progress=tick)
         document = fleet.to_dict()
-        written = write_fleet(fleet, into, name=folder.resolve().name, issued=issued, force=terminal.forced())
-    terminal.answer(document, fleet_content(fleet))
-    terminal.wrote(written)
+        written = write_fleet(fleet, into, name=folder.resolve().name, issued=issued, force=cli.forced())
+    cli.answer(document, fleet_content(fleet))
+    cli.wrote(written)
     failed = [folder / str(vehicle["id"]) for vehicle in document["vehicles"] if vehicle["status"] == "failed"]
     campaigns = [vehicle for vehicle in failed if vehicle.is_dir()]
     posed = any((folder / str(vehicle["id"])).is_dir() for vehicle in document["vehicles"])
@@ -282,7 +282,7 @@ def run(
     if failed:
         step = "fleet vehicle failed" if campaigns else "fleet file failed"
     other = "diagnose" if what in {"fit", "geometry"} else "fit"
-    terminal.then(step, c=folder, what=what, other=other, first=campaigns[:1], into=into)
+    cli.then(step, c=folder, what=what, other=other, first=campaigns[:1], into=into)
     return int(bool(failed))
 
 
@@ -303,7 +303,7 @@ def simulate(
     poses: Annotated[
         bool, opt(None, "A campaign folder a vehicle, with logs and end poses, for geometry and diagnose.", "--poses")
     ] = False,
-    seed: terminal.Seed = 0,
+    seed: cli.Seed = 0,
 ) -> None:
     """Write a simulated fleet as Parquet, partitioned by vehicle and month, and what was planted as truth.json.
 
@@ -320,19 +320,19 @@ def simulate(
 
     from calib.plant.make import FleetSize, FleetTruth, PosedTruth, make_fleet, make_posed_fleet
 
-    if into.is_dir() and not terminal.forced():
+    if into.is_dir() and not cli.forced():
         raise BadInputError(f"{into}: found a folder; expected a new one; give --force to replace files in it")
-    terminal.refuse_outputs(None if into.is_dir() else into)
+    cli.refuse_outputs(None if into.is_dir() else into)
     odd, in_hall = _some(outliers, 20, vehicles, "outliers"), _some(common, 40, vehicles, "common")
     slow = _some(drifting, 5, vehicles - odd, "drifting")
     truth: FleetTruth | PosedTruth
-    with terminal.progress("driving"):
+    with cli.progress("driving"):
         if poses:
             size = FleetSize(vehicles, runs, n_outliers=odd, n_common=in_hall)
             truth = make_posed_fleet(into, default_rng(seed), size)
         else:
             size = FleetSize(vehicles, runs, months, odd, slow, in_hall)
             truth = make_fleet(into, default_rng(seed), size)
-    terminal.wrote([into])
-    terminal.then("fleet simulate --poses" if poses else "fleet simulate", c=into)
-    terminal.emit_json(asdict(truth))
+    cli.wrote([into])
+    cli.then("fleet simulate --poses" if poses else "fleet simulate", c=into)
+    cli.emit_json(asdict(truth))

@@ -4,8 +4,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from calib.cli import terminal
-from calib.cli.terminal import Place, Text, Texts, arg, opt
+from calib import cli
+from calib.cli import Place, Text, Texts, arg, opt
 from calib.errors import BadInputError, RefusedError, refuse_workers
 from calib.reporting import drawn, named
 
@@ -20,12 +20,12 @@ RESULT_FILE = "diagnosis.json"
 
 
 def run(
-    campaign: terminal.CampaignOrRecording,
+    campaign: cli.CampaignOrRecording,
     model: Annotated[Place, opt("FILE", "Coefficients that the simulator believes, or a result of geometry.")] = None,
     exclude: Annotated[Texts, opt("EFFECT", "Leave an effect out of the library; again for more.")] = None,
-    seed: terminal.Seed = 0,
+    seed: cli.Seed = 0,
     apply: Annotated[Place, opt("FILE", "Write the model with the named effect; of a simulator: what to set.")] = None,
-    figures: terminal.Figures = None,
+    figures: cli.Figures = None,
     html: Annotated[Place, opt("FILE", "Write one interactive page, with linked panels.")] = None,
     into: Annotated[Place, opt("FOLDER", "Result folder: diagnosis.json.")] = None,
     journeys: Annotated[Place, opt("PLAN", "Runs to come, to compare the corrections of tied causes on.")] = None,
@@ -33,7 +33,7 @@ def run(
         Place, opt("SIM.toml", "Your own simulator: its command, which is run, and its parameters.")
     ] = None,
     workers: Annotated[int, opt("N", "Runs of the simulator at once.", "--workers", min=1)] = 1,
-    mapping: terminal.MappingOption = None,
+    mapping: cli.MappingOption = None,
 ) -> int:
     """Say where the gap between measured and simulated motion lies, and which unmodelled effect causes it.
 
@@ -49,14 +49,14 @@ def run(
     from calib.reporting.topics.diagnosis import GAP_FIGURES, after_diagnosis, diagnosis_full
 
     result = None if into is None else into / RESULT_FILE
-    terminal.refuse_outputs(apply, html, result, figures=figures, names=GAP_FIGURES)
+    cli.refuse_outputs(apply, html, result, figures=figures, names=GAP_FIGURES)
     if html is not None:  # a missing extra is said before the work
         import_module("calib.reporting.interactive")
     if simulator is not None and (model or journeys):
         name = "--model" if model else "--journeys"
         raise BadInputError(f"{name}: found it beside --simulator, which is judged instead; give one of them")
     left_out = tuple(exclude or ())
-    with terminal.progress("diagnosing") as tick:
+    with cli.progress("diagnosing") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         effects: tuple[EffectSection, ...] | None = None
         if simulator is not None:
@@ -67,21 +67,21 @@ def run(
             ran = ""
             diagnosis, effects = diagnosed(read, model, left_out, seed, journeys, progress=tick)
     document = diagnosis.to_dict()
-    terminal.show(diagnosis_full(diagnosis))
-    terminal.say(ran)
-    terminal.save(result, document)
+    cli.show(diagnosis_full(diagnosis))
+    cli.say(ran)
+    cli.save(result, document)
     if html is not None:
         from calib.reporting.pages import diagnosis_page
 
-        with terminal.progress("making the page"):
+        with cli.progress("making the page"):
             page = diagnosis_page(diagnosis, read)
-        terminal.save(html, page)
-    terminal.draw(figures, lambda: named("figures", "gap.gap_figures")(diagnosis), simulated=read.simulated)
-    terminal.emit_json(document)
+        cli.save(html, page)
+    cli.draw(figures, lambda: named("figures", "gap.gap_figures")(diagnosis), simulated=read.simulated)
+    cli.emit_json(document)
     applied = "" if apply is None else _apply(diagnosis, read, model, effects, apply)
     step = applied or after_diagnosis(diagnosis, simulator=simulator is not None)
     odd = runs_of_broken_counters(read) if step in _UNSETTLED else ()
-    terminal.then(
+    cli.then(
         "diagnose counters" if odd else step, c=campaign, sim=simulator or "", runs_named=odd[:6], file=apply or ""
     )
     fine = diagnosis.kind in {VerdictKind.NO_GAP, VerdictKind.EXPLAINED} and not diagnosis.correct_first
@@ -106,7 +106,7 @@ def _apply(
     from calib.gap.simulator.fix import parameters_to_set
 
     if diagnosis.kind is VerdictKind.NO_GAP:
-        terminal.say(f"{target} is not written: there is no gap, so the model stays as it is.")
+        cli.say(f"{target} is not written: there is no gap, so the model stays as it is.")
         return ""
     what, step, left_out = "parameters are", "", tuple[str, ...]()
     try:
@@ -120,14 +120,14 @@ def _apply(
             made, what, step = model.to_bytes(), "model is", "diagnose --apply"
             left_out = fitted_beside(model) and on_vehicle(model, diagnosis, campaign)
     except RefusedError as refused:
-        terminal.say(f"{target} is not written: {refused}.")
+        cli.say(f"{target} is not written: {refused}.")
         return None
-    terminal.save(target, made)
+    cli.save(target, made)
     for text in left_out:
-        terminal.note(text)
+        cli.note(text)
     if diagnosis.recommended:
         return step
-    terminal.say(f"The written {what} not recommended: see above what speaks against it.")
+    cli.say(f"The written {what} not recommended: see above what speaks against it.")
     return ""
 
 
@@ -150,7 +150,7 @@ def _simulated(
         done = diagnose_simulator(campaign, settings, seed=seed, exclude=exclude, workers=workers, progress=counted)
     except KeyboardInterrupt:
         if (runs := finished[RUNS_STAGE]) and cache_folder() is not None:
-            terminal.keep(f"results of {plural(runs, 'run')} of the simulator, which will not run again")
+            cli.keep(f"results of {plural(runs, 'run')} of the simulator, which will not run again")
         raise
     return done.diagnosis, done.runs.sentence
 
@@ -162,7 +162,7 @@ def _check_excluded(exclude: tuple[str, ...], campaign: "Campaign") -> None:
     try:
         check_excluded(exclude, observations_of(campaign), campaign.extra.get("effects", ()))
     except BadInputError as error:
-        near = "".join(terminal.nearest(name, REGISTRY) for name in exclude if name not in REGISTRY)
+        near = "".join(cli.nearest(name, REGISTRY) for name in exclude if name not in REGISTRY)
         raise BadInputError(f"--{error}{near}") from error
 
 
@@ -171,7 +171,7 @@ def effects(
     campaign: Annotated[
         Place, opt("CAMPAIGN", "Judge on this campaign's runs; its columns and declared effects are listed, too.")
     ] = None,
-    figures: terminal.Figures = None,
+    figures: cli.Figures = None,
 ) -> None:
     """List the effects that may cause a gap, or say of one what it needs, what separates it, and what it leaves.
 
@@ -186,26 +186,24 @@ def effects(
     from calib.gap.plan.planned_runs import demonstration
     from calib.gap.predict import predict
 
-    with terminal.progress("looking"):
+    with cli.progress("looking"):
         read = demonstration() if campaign is None else read_campaign(campaign)
         declared = read.extra.get("effects", ())
         nominal = predict(observations_of(read))
         if effect is not None and effect not in (known := every_effect(nominal.s, declared=declared)):
-            near = terminal.nearest(effect, known) or "; choose one of it"
+            near = cli.nearest(effect, known) or "; choose one of it"
             raise BadInputError(f"found the effect {effect!r}; expected one that 'calib effects' lists{near}")
         entries = catalogue(nominal, declared, () if effect is None else (effect,))
     runs = f"the runs of {read.name}" if campaign else "demonstration runs (corridor both ways, squares, curves)"
     shown = {f"signature-{one.effect.id}": one.signature for one in entries if one.signature is not None}
     drawable = {name.replace(":", "-"): signature for name, signature in shown.items()}
-    terminal.refuse_outputs(figures=figures, names=drawable)
+    cli.refuse_outputs(figures=figures, names=drawable)
     from calib.reporting.topics.runs import effect_content, effects_content
 
-    terminal.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
-    terminal.draw(
-        figures, lambda: {name: drawn("gap.signature_figure", one, nominal) for name, one in drawable.items()}
-    )
-    terminal.then("effects EFFECT" if effect else "effects", c=campaign or "CAMPAIGN")
-    terminal.emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]})
+    cli.show(effects_content(entries, runs) if effect is None else effect_content(entries[0], runs))
+    cli.draw(figures, lambda: {name: drawn("gap.signature_figure", one, nominal) for name, one in drawable.items()})
+    cli.then("effects EFFECT" if effect else "effects", c=campaign or "CAMPAIGN")
+    cli.emit_json({"runs": runs, "effects": [entry.to_dict() for entry in entries]})
 
 
 def plan(
@@ -213,7 +211,7 @@ def plan(
     source: Annotated[Place, opt("PLAN.toml", "A plan of runs, judged before anything is driven.", "--from")] = None,
     candidates: Annotated[Place, opt("FILE.toml", "Runs to choose from, as [[runs]]; else the usual ones.")] = None,
     most: Annotated[int, opt(None, "How many runs to name; repeats count once.", min=1, max=50)] = 5,
-    seed: terminal.Seed = 0,
+    seed: cli.Seed = 0,
     figures: Annotated[Place, opt("FOLDER", "With --from: write the matrix there as PNG, SVG and PDF.")] = None,
 ) -> None:
     """List the runs to drive next, best first, with what each tells apart.
@@ -229,10 +227,10 @@ def plan(
     if (campaign is None) == (source is None):
         raise BadInputError("plan: found both or none; expected a CAMPAIGN or --from PLAN.toml; give one of them")
     if source is not None:
-        terminal.refuse_options("with --from", {"--candidates": candidates})
+        cli.refuse_options("with --from", {"--candidates": candidates})
         _judge(source, figures)
     elif campaign is not None:
-        terminal.refuse_options("without --from", {"--figures": figures})
+        cli.refuse_options("without --from", {"--figures": figures})
         _next(campaign, candidates, most, seed)
 
 
@@ -243,14 +241,14 @@ def _next(campaign: Path, candidates: Path | None, most: int, seed: int) -> None
     from calib.reporting.topics.diagnosis import without_runs
     from calib.reporting.topics.runs import runs_and_promises
 
-    with terminal.progress("planning") as tick:
+    with cli.progress("planning") as tick:
         read = read_campaign(campaign, progress=tick)
         offered = None if candidates is None else read_candidates(candidates)
         plan = proposed(read, among=offered, most=most, seed=seed, progress=tick)
-    terminal.say(f"{plan.diagnosis.campaign}: {plan.diagnosis.sentence}")
-    terminal.show(runs_and_promises(plan))
-    terminal.then("plan" if plan.runs else without_runs(plan.diagnosis), c=campaign)
-    terminal.emit_json(plan.to_dict())
+    cli.say(f"{plan.diagnosis.campaign}: {plan.diagnosis.sentence}")
+    cli.show(runs_and_promises(plan))
+    cli.then("plan" if plan.runs else without_runs(plan.diagnosis), c=campaign)
+    cli.emit_json(plan.to_dict())
 
 
 def _judge(source: Path, figures: Path | None) -> None:
@@ -259,14 +257,14 @@ def _judge(source: Path, figures: Path | None) -> None:
     from calib.gap.plan.next_runs import read_plan
     from calib.reporting.topics.runs import outlook_content, promise_table
 
-    terminal.refuse_outputs(figures=figures, names=["plan-matrix"])
-    with terminal.progress("judging the plan") as tick:
+    cli.refuse_outputs(figures=figures, names=["plan-matrix"])
+    with cli.progress("judging the plan") as tick:
         planned = read_plan(source)
         outlook = outlook_of(planned, progress=tick)
         promise = promised(planned)
     content = outlook_content(planned.name, len(planned.runs), outlook)
-    terminal.show((*content, *([promise_table(None, promise)] if promise else [])))
-    terminal.draw(figures, lambda: {"plan-matrix": drawn("gap.plan_matrix", outlook)})
-    terminal.then("plan --from")
+    cli.show((*content, *([promise_table(None, promise)] if promise else [])))
+    cli.draw(figures, lambda: {"plan-matrix": drawn("gap.plan_matrix", outlook)})
+    cli.then("plan --from")
     geometry = promise and promise.to_dict()
-    terminal.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict(), "geometry": geometry})
+    cli.emit_json({"plan": planned.name, "runs": len(planned.runs), **outlook.to_dict(), "geometry": geometry})

@@ -5,8 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from calib.cli import terminal
-from calib.cli.terminal import Number, Place, Text, Texts, arg, opt
+from calib import cli
+from calib.cli import Number, Place, Text, Texts, arg, opt
 from calib.coefficients.formats import FORMATS, PATCHING, Artifact, ExportOptions, parse_loads, place, refuse_loads
 from calib.errors import BadInputError
 from calib.reporting import drawn
@@ -25,13 +25,13 @@ _MODEL = "Coefficient file whose law the fitted one is held against, at that law
 
 
 def fit(
-    campaign: terminal.CampaignOrRecording,
+    campaign: cli.CampaignOrRecording,
     into: Annotated[Place, opt("FOLDER", "Result folder: fit.json and runs.csv, for report and export.")] = None,
     reference_load: Annotated[Number, opt("N", _REFERENCE)] = None,
     model: Annotated[Place, opt("FILE", _MODEL)] = None,
     runs: Annotated[bool, opt(None, "List the radius of every run.", "--runs")] = False,
-    figures: terminal.Figures = None,
-    mapping: terminal.MappingOption = None,
+    figures: cli.Figures = None,
+    mapping: cli.MappingOption = None,
 ) -> int:
     """Fit each wheel's effective radius against its load.
 
@@ -46,7 +46,7 @@ def fit(
     from calib.reporting.topics.fit import FIT_PICTURES, after_fit, comparison_content, fit_content, fit_pictures
 
     results = [] if into is None else [into / FIT_FILE, into / RUNS_FILE]
-    terminal.refuse_outputs(*results, figures=figures, names=FIT_PICTURES)
+    cli.refuse_outputs(*results, figures=figures, names=FIT_PICTURES)
     believed = None
     if model is not None:
         from calib.coefficients.build import coefficients_of
@@ -56,7 +56,7 @@ def fit(
             raise BadInputError(f"--reference-load: found with --model; expected {expected}; leave one out")
         believed = coefficients_of(model)
         reference_load = believed.file.law.left.reference_load_N
-    with terminal.progress("fitting") as tick:
+    with cli.progress("fitting") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         fitted = fit_campaign(read, reference_load_N=reference_load)
     arguments = {"campaign": campaign.name, "reference_load_N": reference_load}
@@ -69,12 +69,12 @@ def fit(
         compared = compare_laws(fitted.left, fitted.right, believed.file.law)
         document["model_comparison"] = compared.to_dict() | {"notes": list(notes)}
         content = (*content[:-1], *comparison_content(compared, notes), content[-1])
-    if not terminal.wants_stdout():
-        terminal.show(content)
-    terminal.wrote([] if into is None else [write_result(fitted, into, force=terminal.forced())])
-    terminal.draw(figures, lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, simulated=fitted.simulated)
-    terminal.emit_json(document)
-    terminal.then(after_fit(fitted), c=campaign)
+    if not cli.wants_stdout():
+        cli.show(content)
+    cli.wrote([] if into is None else [write_result(fitted, into, force=cli.forced())])
+    cli.draw(figures, lambda: {one.name: one.draw() for one in fit_pictures(fitted)}, simulated=fitted.simulated)
+    cli.emit_json(document)
+    cli.then(after_fit(fitted), c=campaign)
     return 0 if fitted.passed else 1
 
 
@@ -84,15 +84,15 @@ PICTURE = "geometry_paths"
 
 
 def geometry(
-    campaign: terminal.CampaignOrRecording,
+    campaign: cli.CampaignOrRecording,
     using: Annotated[Text, opt("WHAT", "end-poses or windows; without it what the campaign has.")] = None,
     kind: Annotated[Texts, opt("KIND", "Use runs of this kind alone; may be given again.")] = None,
     leave_out: Annotated[Text, opt("WHAT", "Leave each session, kind or run out in turn: end errors.")] = None,
     into: Annotated[Place, opt("FOLDER", "Write the result there (geometry.json).")] = None,
     output: Annotated[Place, opt("COEFFICIENTS", "Write a coefficient file.")] = None,
-    figures: terminal.Figures = None,
-    mapping: terminal.MappingOption = None,
-    accept_implausible: terminal.AcceptImplausible = "",
+    figures: cli.Figures = None,
+    mapping: cli.MappingOption = None,
+    accept_implausible: cli.AcceptImplausible = "",
 ) -> int:
     """Estimate radii, track and the reference's sensor together, with intervals.
 
@@ -111,30 +111,30 @@ def geometry(
 
     way, left_out = _choice("--using", using, USING), _choice("--leave-out", leave_out, LEAVE_OUT)
     result = into / GEOMETRY_FILE if into is not None else None
-    terminal.refuse_outputs(output, result, figures=figures, names=[PICTURE])
-    with terminal.progress("estimating") as tick:
+    cli.refuse_outputs(output, result, figures=figures, names=[PICTURE])
+    with cli.progress("estimating") as tick:
         read = read_or_ingest(campaign, mapping=mapping, progress=tick)
         estimated = estimate_geometry(read, using=way, kinds=kind or (), leave_out=left_out, progress=tick)
         estimated = replace(estimated, notes=(*estimated.notes, *assumed_notes(read)))
-    terminal.show(geometry_content(estimated))
+    cli.show(geometry_content(estimated))
     accept = accept_implausible.strip()
     document = geometry_document(estimated, read, accept)
-    terminal.save(result, document)
+    cli.save(result, document)
     if figures is not None:
         from calib.kinematics.assemble import traces_of
 
         paths = traces_of(read, estimated)
-        terminal.draw(figures, lambda: {PICTURE: drawn("calibration.draw_paths", paths)}, simulated=read.simulated)
-    terminal.emit_json(document)
+        cli.draw(figures, lambda: {PICTURE: drawn("calibration.draw_paths", paths)}, simulated=read.simulated)
+    cli.emit_json(document)
     if output is not None:
-        terminal.save(output, from_geometry(estimated, read, accept=accept).to_bytes())
-    terminal.then(after_geometry(estimated, output), c=campaign, file=output or "")
+        cli.save(output, from_geometry(estimated, read, accept=accept).to_bytes())
+    cli.then(after_geometry(estimated, output), c=campaign, file=output or "")
     return 0 if estimated.passed else 1
 
 
 def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
     if given is not None and given not in known:
-        near = terminal.nearest(given, known)
+        near = cli.nearest(given, known)
         raise BadInputError(f"{option}: found {given!r}; expected one of {', '.join(known)}; choose one of them{near}")
     return None if given is None else known[given]
 
@@ -165,7 +165,7 @@ def export(
     right: Annotated[str, opt("NAME", "The same of the right rear wheel.")] = "",
     velocity_feedback: Annotated[bool, opt(None, _VELOCITIES, "--velocity-feedback")] = False,
     open_loop: Annotated[bool, opt(None, _COMMANDS, "--open-loop")] = False,
-    accept_implausible: terminal.AcceptImplausible = "",
+    accept_implausible: cli.AcceptImplausible = "",
 ) -> None:
     """Write the coefficients for a vehicle, a controller, a simulator's model, or a calibration certificate.
 
@@ -174,23 +174,23 @@ def export(
     from calib.coefficients.build import coefficients_of, export
 
     output = None if output == Path("-") else output
-    terminal.refuse_outputs(None if output is not None and output.is_dir() else output)
+    cli.refuse_outputs(None if output is not None and output.is_dir() else output)
     accept = accept_implausible.strip()
     notes: list[str] = []
     head: dict[str, object] = {"to": to}
     if to not in KNOWN:
-        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(KNOWN)}{terminal.nearest(to, KNOWN)}")
+        raise BadInputError(f"--to: found {to!r}; expected one of {', '.join(KNOWN)}{cli.nearest(to, KNOWN)}")
     refuse_loads(load, to)
     unused: dict[str, object] = {} if to in PATCHING else {"--into": model, "--left": left, "--right": right}
     if to in OTHER_FORMATS:
         unused |= {"--date": date, "--outside": outside, "--controller": controller}
         unused |= {"--velocity-feedback": velocity_feedback, "--open-loop": open_loop}
-    terminal.refuse_options(f"with --to {to}", unused)
+    cli.refuse_options(f"with --to {to}", unused)
     artifacts: Sequence[Artifact]
     if to in BINARY and output is None:
         raise BadInputError(f"--output: found none; expected a file, since {to} is no text; give --output FILE.{to}")
     if to in OTHER_FORMATS:
-        with terminal.progress(to) as tick:
+        with cli.progress(to) as tick:
             artifacts = export_from(source, to, accept=accept, progress=tick)
     else:
         coefficients = coefficients_of(source, outside=outside, created=date, accept=accept)
@@ -201,22 +201,22 @@ def export(
         head |= {name: getattr(coefficients.file, name) for name in ("checksum", "outside", "simulated")}
     notes += [text for artifact in artifacts for text in artifact.notes]
     files = _written(artifacts, output)
-    terminal.emit_json({**head, "files": files, "notes": notes})
+    cli.emit_json({**head, "files": files, "notes": notes})
     for text in notes:
-        terminal.note(text)
+        cli.note(text)
     if output is not None:
         # where the files went to standard output, nothing is added to them
-        terminal.then(f"export {to}", c=source, file=files[0]["path"])
+        cli.then(f"export {to}", c=source, file=files[0]["path"])
 
 
 def _written(artifacts: Sequence[Artifact], output: Path | None) -> list[dict[str, str]]:
     if output is not None:
-        files = place(artifacts, output, force=terminal.forced())
-        terminal.wrote([written["path"] for written in files])
+        files = place(artifacts, output, force=cli.forced())
+        cli.wrote([written["path"] for written in files])
         return files
-    if terminal.wants_stdout():
+    if cli.wants_stdout():
         return [{"name": artifact.name, "text": artifact.data.decode("utf-8")} for artifact in artifacts]
-    terminal.emit_text("---\n".join(artifact.data.decode("utf-8") for artifact in artifacts))
+    cli.emit_text("---\n".join(artifact.data.decode("utf-8") for artifact in artifacts))
     return []
 
 
@@ -225,14 +225,14 @@ def report(
     into: Annotated[
         Place, opt("FILE|FOLDER", "PDF file, or folder for it; without it: reports/<campaign>.pdf.")
     ] = None,
-    date: terminal.Date = None,
-    figures: terminal.Figures = None,
+    date: cli.Date = None,
+    figures: cli.Figures = None,
     html: Annotated[Place, opt("FILE", "Write the same as one HTML page, too; with --diagnosis interactive.")] = None,
     diagnosis: Annotated[
         bool, opt(None, "Add the diagnosis of the gap between measured and simulated motion.", "--diagnosis")
     ] = False,
-    seed: terminal.Seed = 0,
-    accept_implausible: terminal.AcceptImplausible = "",
+    seed: cli.Seed = 0,
+    accept_implausible: cli.AcceptImplausible = "",
 ) -> int:
     """Write the report on a campaign as PDF/A-3, the coefficient file attached.
 
@@ -249,10 +249,10 @@ def report(
     from calib.reporting.pages import to_pdf
     from calib.reporting.source import issue_date, opened
 
-    terminal.refuse_outputs(html, into if into and into.suffix.lower() == ".pdf" and not into.is_dir() else None)
-    issued, force, drawn = issue_date(date), terminal.forced(), list[Path]()
+    cli.refuse_outputs(html, into if into and into.suffix.lower() == ".pdf" and not into.is_dir() else None)
+    issued, force, drawn = issue_date(date), cli.forced(), list[Path]()
     _refuse_targets(source, into, figures)
-    with terminal.progress("report") as tick:
+    with cli.progress("report") as tick:
         given = opened(source, progress=tick)
         accept, drawn_by = accept_implausible.strip(), seed if diagnosis else None
         report = report_of(given, issued=issued, accept=accept, seed=drawn_by, where=source, progress=tick)
@@ -264,15 +264,15 @@ def report(
     if html is not None:
         write_text(html, page, force=force)
     marked = ", simulated data" if report.simulated else ""
-    terminal.wrote([], what=f"{target} (report {report.report_id}{marked})")
-    terminal.wrote([] if html is None else [html])
+    cli.wrote([], what=f"{target} (report {report.report_id}{marked})")
+    cli.wrote([] if html is None else [html])
     if drawn:
-        terminal.wrote([], what=f"{len(drawn)} figure files to {figures}")
+        cli.wrote([], what=f"{len(drawn)} figure files to {figures}")
     if not report.passed:
         what = "law" if report.geometry is None else "geometry"
-        terminal.say(f"A check failed: the {what} should not be used as it is; the report says why.")
-    terminal.then(_next_step(report, given), c=source)
-    terminal.emit_json({"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()})
+        cli.say(f"A check failed: the {what} should not be used as it is; the report says why.")
+    cli.then(_next_step(report, given), c=source)
+    cli.emit_json({"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()})
     return 0 if report.passed else 1
 
 
@@ -298,12 +298,12 @@ def _refuse_targets(source: Path, into: Path | None, figures: Path | None) -> No
 
     settings = source / "campaign.toml"
     if settings.is_file():
-        place_of(read_settings(settings, str(settings)).name, into, force=terminal.forced())
+        place_of(read_settings(settings, str(settings)).name, into, force=cli.forced())
     if figures is not None:
         from calib.reporting.pages import GAP_PICTURES
         from calib.reporting.topics.fit import FIT_PICTURES
 
-        terminal.refuse_outputs(figures=figures, names=(*FIT_PICTURES, *GAP_PICTURES))
+        cli.refuse_outputs(figures=figures, names=(*FIT_PICTURES, *GAP_PICTURES))
 
 
 def _page(report: "Report", given: "Fit | Campaign", tick: "Progress") -> str:

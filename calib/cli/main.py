@@ -1,6 +1,11 @@
-"""The entry point: parses, calls, and turns known errors into one line and an exit status."""
+"""The entry point: parses, calls, and turns known errors into one line and an exit status.
+
+For all commands: inputs are never written.
+"""
 
 import errno
+import itertools
+import logging
 import os
 import re
 import signal
@@ -8,16 +13,18 @@ import sys
 import warnings
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from itertools import pairwise
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import typer
+from typer.core import TyperCommand
 
-from calib.cli import COMMANDS, build, command_called, options_of, with_default
-from calib.cli.terminal import CLOSED, INTERRUPTED, KEPT, WRITTEN, drop, nearest, note, visible
+from calib import cli
+from calib.cli import COMMANDS, SUMMARIES, command_called, note, with_default
 from calib.documents import to_json
-from calib.errors import CalibError, ImplausibleError
+from calib.errors import BadInputError, CalibError, ImplausibleError, inputs_kept, refuse_special
+from calib.io import refuse_empty
 
 EXIT_FINE: Final = 0
 EXIT_FAILED: Final = 1
@@ -27,6 +34,129 @@ EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
 EXIT_PIPE_CLOSED: Final = 141
 #: characters of the one line about an error; a message that quotes data may hold much of it
 LONGEST_LINE: Final = 2000
+
+#: parameters that say where something is written; every other path is an input
+OUTPUTS: Final = frozenset({"into", "output", "json", "figures", "apply", "html", "tum", "plot"})
+#: commands with further outputs: what one makes, another reads, and the folder that it makes
+ALSO: Final[dict[str, frozenset[str]]] = {"init": frozenset({"folder"}), "make": frozenset({"truth"})}
+
+
+@cache
+def _shared_options() -> list[Any]:
+    application = typer.Typer(add_completion=False)
+
+    @application.command()
+    def shared(json: cli.JsonTarget = None, force: cli.Force = False) -> None:
+        """Declare them."""
+
+    return list(typer.main.get_command(application).params)
+
+
+class Guarded(TyperCommand):
+    """A command with ``--json`` and ``--force``, whose inputs are never written while it runs."""
+
+    def __init__(self, *args: Any, params: list[Any] | None = None, **kwargs: Any) -> None:
+        super().__init__(*args, params=[*(params or ()), *_shared_options()], **kwargs)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words of a command line, none of whose paths may be empty."""
+        _refuse_empty(self.params, args)
+        return super().parse_args(ctx, args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command with its inputs kept, where the JSON can be written."""
+        # where HOME cannot be written, the drawing library works without its cache and need not say so
+        logging.getLogger("matplotlib").setLevel(logging.ERROR)
+        _refuse_dash(ctx)
+        paths = list(dict.fromkeys(_inputs(ctx.params, OUTPUTS | ALSO.get(str(ctx.info_name), frozenset()))))
+        for path in paths:
+            refuse_special(path)
+        seed = ctx.params.get("seed")
+        if isinstance(seed, int) and not 0 <= seed < 2**63:
+            raise BadInputError(f"--seed: found {seed}; expected a whole number from 0 on; choose another")
+        cli.JSON_TARGET.set(ctx.params.pop("json"))
+        cli.FORCE.set(ctx.params.pop("force"))
+        with inputs_kept(paths):
+            cli.refuse_outputs()
+            return super().invoke(ctx)
+
+
+def _refuse_empty(parameters: Sequence[Any], words: Sequence[str]) -> None:
+    paths: set[str] = set()
+    others: set[str] = set()
+    for parameter in parameters:
+        is_path = parameter.name in OUTPUTS or "Path" in str(parameter.type_descriptor.annotation)
+        (paths if is_path else others).update(parameter.opts)
+    named = " or ".join(str(one.metavar or one.name) for one in parameters if not one.opts[0].startswith("-"))
+    for before, word in itertools.pairwise(["", *words]):
+        option, equals, value = word.partition("=")
+        if option in paths and equals:
+            refuse_empty(value, option)
+        elif before in paths or (before not in others and any(not name.startswith("-") for name in paths)):
+            refuse_empty(word, before if before in paths else named)
+
+
+def _refuse_dash(ctx: Any) -> None:
+    takes = {"json", *(["output"] if ctx.info_name == "export" else [])}
+    for parameter in ctx.command.params:
+        if parameter.name in OUTPUTS - takes and str(ctx.params.get(parameter.name)) == "-":
+            raise BadInputError(
+                f"{parameter.opts[-1]}: found '-'; expected a file or folder, since standard output takes the JSON of "
+                "--json - alone; name one"
+            )
+
+
+def _inputs(parameters: dict[str, object], outputs: frozenset[str]) -> Iterator[Path]:
+    for name, value in parameters.items():
+        if name in outputs:
+            continue
+        for part in value if isinstance(value, list | tuple) else [value]:
+            if isinstance(part, Path) or (isinstance(part, str) and os.path.exists(part)):  # noqa: PTH110
+                yield Path(part)
+
+
+def options_of(name: str) -> set[str]:
+    """Return the options of a command, long and short."""
+    application = typer.Typer(add_completion=False)
+    application.command(name, cls=Guarded)(cli.function_of(name))
+    return {option for parameter in typer.main.get_command(application).params for option in parameter.opts}
+
+
+def build(arguments: Sequence[str] | None = None) -> typer.Typer:
+    """Return the application.
+
+    With a command's name in `arguments` only that command is imported; without arguments every one.
+    """
+    application = typer.Typer(
+        name="calib",
+        no_args_is_help=True,
+        add_completion=True,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help="Calibrate a vehicle's wheel odometry, and find out why its simulation is wrong.",
+    )
+
+    @application.callback(invoke_without_command=True)
+    def root(version: bool = typer.Option(False, "--version", "-V", help="Show the version and exit.")) -> None:
+        if version:
+            from calib import __version__
+
+            typer.echo(f"calib {__version__}")
+            raise typer.Exit
+
+    words = None if arguments is None else [word for word in arguments if not word.startswith("-")]
+    parents = {"": application}
+    for name in COMMANDS:
+        group, _, inner = name.rpartition(" ")
+        if group not in parents:
+            parents[group] = typer.Typer(rich_markup_mode=None, epilog=cli.GROUPS[group])
+            application.add_typer(parents[group], name=group, help=SUMMARIES[group])
+        if words is None or words[: len(name.split())] == name.split():
+            parents[group].command(inner, cls=Guarded)(cli.function_of(name))
+        else:  # not called, and not imported
+            parents[group].command(inner, cls=Guarded, help=SUMMARIES[name])(lambda: None)
+    return application
 
 
 def interruption(kept: list[str]) -> int:
@@ -46,7 +176,7 @@ def failed(error: Exception, given: list[str]) -> int:
         sys.stderr.write(_message(error) + "\n")
         return EXIT_BAD_INPUT
     message, status = _explained(error, given)
-    if ("--json=-" in given or ("--json", "-") in pairwise(given)) and not WRITTEN.get():
+    if ("--json=-" in given or ("--json", "-") in itertools.pairwise(given)) and not cli.WRITTEN.get():
         with suppress(OSError, ValueError):
             sys.stdout.write(to_json({"error": " ".join(message.split()), "exit_status": status}))
             sys.stdout.flush()
@@ -78,7 +208,7 @@ def _nearest_path(message: str, given: list[str]) -> str:
             if path.name and absent and message.startswith(f"{path}: found no such"):
                 if path.is_symlink():
                     return "; this is a symbolic link that leads nowhere"
-                return nearest(path.name, (beside.name for beside in path.parent.iterdir()))
+                return cli.nearest(path.name, (beside.name for beside in path.parent.iterdir()))
     return ""
 
 
@@ -120,7 +250,7 @@ def _usage(error: Exception) -> str:
 
 
 def _pipe_closed() -> int:
-    drop(sys.stdout)
+    cli.drop(sys.stdout)
     return EXIT_PIPE_CLOSED
 
 
@@ -130,7 +260,7 @@ def _message(error: Exception) -> str:
 
 
 def _complain(message: str, status: int = EXIT_BAD_INPUT) -> int:
-    text = visible("calib: " + " ".join(message.split()))
+    text = cli.visible("calib: " + " ".join(message.split()))
     if len(text) > LONGEST_LINE:
         text = f"{text[: LONGEST_LINE - 4]} ..."
     with suppress(OSError, AttributeError):
@@ -176,12 +306,8 @@ def overflow_noted() -> Iterator[None]:
 
 #: where the shell asks for completions, and the words typed so far
 _COMPLETE, _COMPLETE_WORDS = "_CALIB_COMPLETE", ("_TYPER_COMPLETE_ARGS", "COMP_WORDS")
-
-
 #: read by OpenMP, OpenBLAS and MKL when numpy is first imported
 BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
 #: seconds since 1970, before the year 10,000
 _SECONDS: Final = re.compile(r"\d{1,12}")
 LATEST_S: Final = 253_402_300_800
@@ -208,10 +334,10 @@ def run(
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
     kept: list[str] = []
-    KEPT.set(kept)
-    INTERRUPTED.set(interrupted)
-    CLOSED.set(False)
-    WRITTEN.set(False)
+    cli.KEPT.set(kept)
+    cli.INTERRUPTED.set(interrupted)
+    cli.CLOSED.set(False)
+    cli.WRITTEN.set(False)
     given = sys.argv[1:] if arguments is None else arguments
     try:
         with overflow_noted():
@@ -228,7 +354,7 @@ def run(
         raise
     except Exception as error:
         return interruption(kept) if settle() else failed(error, given)
-    return EXIT_PIPE_CLOSED if CLOSED.get() else status
+    return EXIT_PIPE_CLOSED if cli.CLOSED.get() else status
 
 
 def _heed_date() -> None:

@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
 
-from calib.cli import terminal
-from calib.cli.terminal import Count, Number, Place, Text, Texts, arg, opt
+from calib import cli
+from calib.cli import Count, Number, Place, Text, Texts, arg, opt
 from calib.documents import plain
 from calib.errors import BadInputError
 
@@ -46,13 +46,13 @@ def _finish(
 ) -> None:
     from calib.reporting.topics.simulation import simulation_content, simulation_trajectories, write_simulation
 
-    (output, tum, speed_mps), force = targets, terminal.forced()
+    (output, tum, speed_mps), force = targets, cli.forced()
     written = [] if output is None else write_simulation(simulation, output, force=force)
     if tum is not None:
         written += simulation_trajectories(simulation, tum, speed_mps=speed_mps, force=force)
     every_note = [*notes, *(simulation.law.notes if simulation.law else ())]
     _tell(simulation.to_dict() | {"seed": seed}, simulation_content(simulation), every_note, written)
-    terminal.then("simulate --law" if law else "simulate", c=law or "")
+    cli.then("simulate --law" if law else "simulate", c=law or "")
 
 
 def _tell(
@@ -62,13 +62,13 @@ def _tell(
     from calib.reporting.formatting import prose
 
     document |= {"notes": notes, "files": [str(path) for path in written]}
-    terminal.answer(document, [*content, *items(map(prose, notes))])
-    if not terminal.wants_stdout():
-        terminal.wrote(written)
+    cli.answer(document, [*content, *items(map(prose, notes))])
+    if not cli.wants_stdout():
+        cli.wrote(written)
 
 
 def _loads_N(texts: list[str] | None, option: str) -> list[tuple[float, float]]:
-    pairs = [(left, right) for left, right in (terminal.numbers(text, 2, option) for text in texts or ())]
+    pairs = [(left, right) for left, right in (cli.numbers(text, 2, option) for text in texts or ())]
     if any(value <= 0.0 for pair in pairs for value in pair):
         raise BadInputError(f"{option}: found 0 N or below; expected loads above 0 N; correct it")
     return pairs
@@ -101,16 +101,16 @@ def route(
 
     vehicle = Vehicle()
     if not ratio:
-        terminal.refuse_options("without --ratio", {"--wheel": which})
-    cases = [Case.off(which or "right", value) for value in (terminal.numbers(ratio, None, "--ratio") if ratio else ())]
+        cli.refuse_options("without --ratio", {"--wheel": which})
+    cases = [Case.off(which or "right", value) for value in (cli.numbers(ratio, None, "--ratio") if ratio else ())]
     if real is not None:
-        left, right = terminal.numbers(real, 2, "--real")
-        base = terminal.numbers(believed, 2, "--believed") if believed else (vehicle.wheel_radius_m,) * 2
+        left, right = cli.numbers(real, 2, "--real")
+        base = cli.numbers(believed, 2, "--believed") if believed else (vehicle.wheel_radius_m,) * 2
         if min(left, right, *base) <= 0.0:
             raise BadInputError("--believed, --real: found a radius of 0 or below; expected metres above 0")
         cases.append(Case.given(left / base[0], right / base[1]))
     else:
-        terminal.refuse_options("without --real", {"--believed": believed})
+        cli.refuse_options("without --real", {"--believed": believed})
     if not cases:
         raise BadInputError(
             "found no radii; expected --real or --ratio; under a fitted law it is 'calib simulate journey --law PATH'"
@@ -129,7 +129,7 @@ def journey(
     reference: Annotated[Text, opt("L,R", _REFERENCE, "--reference-load")] = None,
     track: Track = None,
     draws: Draws = DRAWS,
-    seed: terminal.Seed = 0,
+    seed: cli.Seed = 0,
     output: Output = None,
     tum: Tum = None,
     speed: Speed = SPEED_MPS,
@@ -148,11 +148,11 @@ def journey(
 
     base = _loads_N([reference] if reference else None, "--reference-load")
     loads_N = _loads_N(load, "--load")
-    carried = [terminal.numbers(text, 3, "--payload") for text in payload or ()]
-    changes = [terminal.numbers(text, 4, "--payload-at") for text in payload_at or ()]
+    carried = [cli.numbers(text, 3, "--payload") for text in payload or ()]
+    changes = [cli.numbers(text, 4, "--payload-at") for text in payload_at or ()]
     source = law_source(law, track)
     loads_N += [carried_loads_N(source.vehicle, mass, x, y) for mass, x, y in carried]
-    with terminal.progress("driving"):
+    with cli.progress("driving"):
         loading = loading_on_the_way(source.vehicle, changes) if changes else None
         under = LawJourneys(source, loads_N, base[0] if base else None, loading, draws)
         rng = np.random.default_rng(seed)
@@ -167,7 +167,7 @@ def study(
     route: Annotated[Texts, opt(None, "Another route than the study's; again for more.")] = None,
     track: Track = None,
     draws: Annotated[Count, opt(None, "With --law: draws of the Monte Carlo.", "--draws")] = None,
-    seed: terminal.Seed = 0,
+    seed: cli.Seed = 0,
     output: Output = None,
     tum: Tum = None,
     speed: Speed = SPEED_MPS,
@@ -186,16 +186,16 @@ def study(
     from calib.vehicle import Vehicle
 
     if name not in STUDIES:
-        near = terminal.nearest(name, STUDIES)
+        near = cli.nearest(name, STUDIES)
         raise BadInputError(f"study: found {name!r}; expected one of {', '.join(STUDIES)}{near}")
     loads_N = _loads_N(load, "--load")
     if law is None:
-        terminal.refuse_options("without --law", {"--load": load, "--draws": draws})
+        cli.refuse_options("without --law", {"--load": load, "--draws": draws})
     source = None if law is None else law_source(law, track)
     if source is not None:
         track = source.track_m
     track_m, rng = Vehicle().track_m if track is None else track, np.random.default_rng(seed)
-    with terminal.progress("simulating"):
+    with cli.progress("simulating"):
         under = None if source is None else LawJourneys(source, loads_N, draws=DRAWS if draws is None else draws)
         simulation = simulate(name, routes=route or (), track_m=track_m, under=under, rng=rng)
     _finish(simulation, (output, tum, speed), seed=seed, notes=() if source is None else source.notes, law=law)
@@ -205,7 +205,7 @@ def replay(
     campaign: Annotated[Path, arg("CAMPAIGN", "Campaign with logs and end poses.")],
     law: Law = None,
     scheme: Annotated[str, opt(None, "exact, mid_point, euler or end_point.")] = "exact",
-    seed: terminal.Seed = 0,
+    seed: cli.Seed = 0,
     output: Output = None,
     tum: Tum = None,
 ) -> None:
@@ -223,8 +223,8 @@ def replay(
     from calib.odometry.replay import replay as replay_runs
     from calib.reporting.topics.simulation import replay_content, replay_trajectories, write_replay
 
-    terminal.refuse_outputs(*(output / "replay.json", output / "replay.csv") if output else ())
-    with terminal.progress("replaying"):
+    cli.refuse_outputs(*(output / "replay.json", output / "replay.csv") if output else ())
+    with cli.progress("replaying"):
         read = read_campaign(campaign)
         source = coefficients_of(law if law is not None else campaign)
         replayed = replay_runs(read, source.file, rng=np.random.default_rng(seed), scheme=scheme)
@@ -234,11 +234,11 @@ def replay(
             "the law was fitted to this same campaign: give --law for a judgement on runs that it has not seen"
         )
     document = replayed.to_dict() | {"scheme": scheme, "notes": notes}
-    written = [] if output is None else write_replay(replayed, output, document, force=terminal.forced())
+    written = [] if output is None else write_replay(replayed, output, document, force=cli.forced())
     if tum is not None:
-        written += replay_trajectories(read, source.file, tum, force=terminal.forced())
+        written += replay_trajectories(read, source.file, tum, force=cli.forced())
     _tell(document, replay_content(replayed), notes, written)
-    terminal.then("simulate replay", c=campaign)
+    cli.then("simulate replay", c=campaign)
 
 
 Folder = Annotated[Path, arg("DIR", "A set made by 'calib challenge make'.")]
@@ -251,7 +251,7 @@ def make(
     into: Annotated[Path, opt("DIR", "Folder for the set.")],
     cases: Cases = None,
     truth: Truth = None,
-    workers: terminal.Workers = 2,
+    workers: cli.Workers = 2,
 ) -> None:
     """Make sealed cases: first the truth, in one file apart whose hash is stored, then the campaigns.
 
@@ -259,30 +259,30 @@ def make(
     """
     from calib.challenge import make
 
-    def told(digest: str) -> None:
-        terminal.say(f"truth sealed, SHA-256 {digest}")
+    def say_sealed(digest: str) -> None:
+        cli.say(f"truth sealed, SHA-256 {digest}")
 
-    force = terminal.forced()
-    with terminal.progress("making") as tick:
-        sealed_set = make(seeds, into, cases, truth, workers=workers, force=force, progress=tick, sealed=told)
-    terminal.say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}")
-    terminal.then("challenge make", c=into)
-    terminal.emit_json(plain(sealed_set))
+    force = cli.forced()
+    with cli.progress("making") as tick:
+        sealed_set = make(seeds, into, cases, truth, workers=workers, force=force, progress=tick, sealed=say_sealed)
+    cli.say(f"{sealed_set.cases} cases in {sealed_set.folder}, truth apart in {sealed_set.truth}")
+    cli.then("challenge make", c=into)
+    cli.emit_json(plain(sealed_set))
 
 
-def run(folder: Folder, cases: Cases = None, workers: terminal.Workers = 2, seed: terminal.Seed = 0) -> None:
+def run(folder: Folder, cases: Cases = None, workers: cli.Workers = 2, seed: cli.Seed = 0) -> None:
     """Diagnose every case that has no verdict yet; the truth is not opened.
 
     Example: calib challenge run blind
     """
     from calib.challenge.run import run as run_set
 
-    terminal.keep(f"the verdicts so far, in {folder}; the same command goes on")
-    with terminal.progress("diagnosing") as tick:
+    cli.keep(f"the verdicts so far, in {folder}; the same command goes on")
+    with cli.progress("diagnosing") as tick:
         ran = run_set(folder, workers=workers, seed=seed, limit=cases, progress=tick)
-    terminal.say(f"{ran.done} cases diagnosed, {ran.skipped} had a verdict already, {ran.failed} ended in an error")
-    terminal.then("challenge run", c=folder)
-    terminal.emit_json(plain(ran))
+    cli.say(f"{ran.done} cases diagnosed, {ran.skipped} had a verdict already, {ran.failed} ended in an error")
+    cli.then("challenge run", c=folder)
+    cli.emit_json(plain(ran))
 
 
 def score(
@@ -298,18 +298,18 @@ def score(
     from calib.reporting.topics.simulation import score_content
 
     beside = None if plot is None else plot.parent / f"{plot.stem}-confusion{plot.suffix}"
-    terminal.refuse_outputs(plot, beside)
+    cli.refuse_outputs(plot, beside)
     scored = score_set(folder, truth_file=truth)
-    terminal.show(score_content(scored))
+    cli.show(score_content(scored))
     if plot is not None and beside is not None:
         from calib.reporting.figures import save
         from calib.reporting.figures.studies import board_figure, confusion_figure
 
-        save(board_figure(scored), plot, force=terminal.forced())
-        save(confusion_figure(scored), beside, force=terminal.forced())
-        terminal.wrote([plot, beside])
-    terminal.then("challenge score", c=folder)
-    terminal.emit_json(scored.to_dict())
+        save(board_figure(scored), plot, force=cli.forced())
+        save(confusion_figure(scored), beside, force=cli.forced())
+        cli.wrote([plot, beside])
+    cli.then("challenge score", c=folder)
+    cli.emit_json(scored.to_dict())
     return 1 if any(scored.meets(line) is False for line in scored.board) else 0
 
 
@@ -320,9 +320,9 @@ def own(
         str, opt("LIST", "10s: a signal of 10; 2x: twice the typical size; 0.01: in its unit.")
     ] = "5s,10s,25s",
     planted: Annotated[int, opt("N", "How often each effect and size is planted.", min=1)] = 5,
-    workers: terminal.Workers = 2,
+    workers: cli.Workers = 2,
     seconds: Annotated[float, opt("S", "Begin no diagnosis after so long.", min=1.0)] = 900.0,
-    seed: terminal.Seed = 0,
+    seed: cli.Seed = 0,
 ) -> int:
     """Plant known effects on this campaign's own noise and route, and say what its data would find.
 
@@ -339,13 +339,13 @@ def own(
         raise BadInputError(f"--effects: found {effects!r}; expected effects with commas; 'calib effects' lists them")
     how = {"planted": planted, "workers": workers, "seed": seed}
     sized, campaign = parse_sizes(sizes), read_campaign(folder)
-    with terminal.progress("planting") as tick:
+    with cli.progress("planting") as tick:
         own_score = challenge_own(campaign, names, sized, seconds=seconds, progress=tick, **how)
     if own_score.done < own_score.asked:
-        terminal.note(
+        cli.note(
             f"{seconds:g} s were enough for {own_score.done} of {own_score.asked} diagnoses; for more, raise --seconds"
         )
-    terminal.show(own_content(own_score))
-    terminal.then("challenge own", c=folder)
-    terminal.emit_json(own_score.to_dict())
+    cli.show(own_content(own_score))
+    cli.then("challenge own", c=folder)
+    cli.emit_json(own_score.to_dict())
     return 0 if own_score.trusted else 1

@@ -72,11 +72,6 @@ def campaign_of(part: Part, known: dict[Path, Campaign], *, lenient: bool = Fals
     return replace(completed(campaign, part.name, border), notes=tuple(border.notes))
 
 
-def _sums_given_up(part: Part, why: str) -> Kept:
-    # without a key: the next run tries it again
-    return Kept.of(PartSums(part.name, "", 0.0, 0.0, why=why))
-
-
 Vehicle = tuple[str, Sequence[Kept]]
 
 
@@ -115,7 +110,11 @@ def fit_fleet(folder: Path, into: Path, *, workers: int = 1, scheduler: str = ""
     with engine(workers, scheduler) as opened:
         members = members_of(folder)
         parts = {part.name: part for member in members for part in member.parts}
-        sums, n_new = renewed(into / SUMS, parts, opened, _sums_of_parts, _sums_given_up, progress, "files")
+
+        def given_up(part: Part, why: str) -> Kept:  # without a key: the next run tries it again
+            return Kept.of(PartSums(part.name, "", 0.0, 0.0, why=why))
+
+        sums, n_new = renewed(into / SUMS, parts, opened, _sums_of_parts, given_up, progress, "files")
         vehicles = [(member.vehicle, [sums[part.name] for part in member.parts]) for member in members]
         done = opened.run(records_of, vehicles, lambda one, why: VehicleRecord(one[0], 0, None, None, why))
         records = {record.vehicle: record for record in done}
@@ -157,7 +156,7 @@ class FleetView:
         return plain_fields(self, outliers=outliers)
 
 
-def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> FleetView:
+def view_of(records: Sequence[VehicleRecord], labels: Labels) -> FleetView:
     """Return the fleet's view of all its vehicles."""
     fitted = sorted((record for record in records if record.status == "fitted"), key=lambda record: record.vehicle)
     drifting = _drifting(fitted)
@@ -169,7 +168,7 @@ def view_of(records: Sequence[VehicleRecord], labels: Labels | None = None) -> F
             values[name] = np.array([getattr(line, f"{what}_{unit}") for line in lines])
             std[name] = np.array([getattr(line, f"{what}_std_{of_unit}") for line in lines])
     names, drift = [record.vehicle for record in fitted], frozenset(one.vehicle for one in drifting)
-    found = quantities_of(names, values, std, labels or {}, drift)
+    found = quantities_of(names, values, std, labels, drift)
     n_failed = len(records) - len(fitted)
     return FleetView(len(records), len(fitted), n_failed, found.populations, found.outliers, drifting, found.common)
 

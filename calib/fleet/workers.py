@@ -51,7 +51,7 @@ def engine(workers: int = 1, scheduler: str = "") -> "Iterator[Engine]":
 
 
 def batches(
-    items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int = 1, smallest: int = 1
+    items: Sequence[Item], weigh: Callable[[Item], int], largest: int, workers: int, smallest: int = 1
 ) -> list[Sequence[Item]]:
     """Cut items into batches in order; see `Engine.run`.
 

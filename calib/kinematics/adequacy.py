@@ -190,12 +190,12 @@ def judged(
     in_session = np.unique(session, return_inverse=True)[1][whole.segments.run] * len(alike) + alike
     within = left_within(fitted.solution, fitted.parameters.free, fitted.model.segments, session)
 
-    def of(columns: slice, travelled: FloatArray, usual: float, told: float) -> Residuals:
+    def of(columns: slice, travelled: FloatArray, usual: float, by_windows: float) -> Residuals:
         at, left = used & seen[:, columns].any(axis=1), within[columns.start // 2]
         scatters = (_scatter(after[:, columns], group, at) for group in (in_session, alike, by_motion))
         *apart, over_all = (size if dof >= REPLICATE_DOF else 0.0 for size, dof in scatters)
         # with what speed and load do it is no less than noise
-        scatter = min(next(filter(None, apart), min(usual, told)), over_all or np.inf)
+        scatter = min(next(filter(None, apart), min(usual, by_windows)), over_all or np.inf)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
         # scatter over sessions that differ is no noise
         noise = min(scatter, left)
@@ -294,14 +294,14 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
     residuals, jacobian = np.full_like(after, np.nan), whitened(solution, fitted.parameters.free)[0]
     logged = replace(whole, recording=fitted.logged)
     for number in range(FOLDS):
-        rest: Segments = model.segments.select(of_fit != number)
+        kept: Segments = model.segments.select(of_fit != number)
         away = of_whole == number
-        told = (flattened(jacobian[of_fit != out]) for out in (FOLDS, number))
-        whole_told, rest_told = (part.T @ part + solution.pull for part in told)
-        least = np.linalg.eigvals(np.linalg.lstsq(whole_told, rest_told)[0]).real.min()
-        if len(rest) and away.any() and least > (LEAST_TOLD if by_run and len(runs) < FOLDS else CARRIED_ALONE):
+        jacobians = (flattened(jacobian[of_fit != out]) for out in (FOLDS, number))
+        information, kept_information = (part.T @ part + solution.pull for part in jacobians)
+        least = np.linalg.eigvals(np.linalg.lstsq(information, kept_information)[0]).real.min()
+        if len(kept) and away.any() and least > (LEAST_TOLD if by_run and len(runs) < FOLDS else CARRIED_ALONE):
             # by angles from their own zeros; held-out runs have the common one. The noise of four fifths is that of all
-            seen = Model(model.drive, model.recording, rest)
+            seen = Model(model.drive, model.recording, kept)
             fit = solve(seen, fitted.parameters, solution.values, solution.scales, noise_rounds=1)
             residuals[away] = logged.residuals(fit.values)[away]
     return residuals
@@ -321,9 +321,9 @@ def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[
     used = _used(fitted.model, outliers) & (segments.level > 0) & segments.seen.all(axis=1)
     if not used.any():
         return
-    sizes, rest = travelled(fitted.model, solution.values), solution.prediction.residuals[used]
+    sizes, residuals = travelled(fitted.model, solution.values), solution.prediction.residuals[used]
     way_m, rotation_rad = (rms(size[used, None]) for size in sizes)
-    off_m = float(np.median(np.hypot(rest[:, 0], rest[:, 1])))
+    off_m = float(np.median(np.hypot(residuals[:, 0], residuals[:, 1])))
     if off_m > max(WRONG_SHARE * way_m, LACK_OF_FIT * noise_m):
         yield (
             f"position: {few_digits(1e3 * off_m)} mm of {way_m:.2g} m are left within runs: the path does not bend "
@@ -331,7 +331,7 @@ def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[
         )
         return
     own = left_within(solution, free, replace(segments, level=(~used).astype(np.int64)), fitted.model.recording.run_id)
-    left, small = (rms(rest[:, :2]), rms(rest[:, 2:])), (way_m, max(rotation_rad, LEAST_ROTATION_RAD))
+    left, small = (rms(residuals[:, :2]), rms(residuals[:, 2:])), (way_m, max(rotation_rad, LEAST_ROTATION_RAD))
     if any(one > max(LACK_OF_FIT * by, SMALL_SHARE * of) for one, by, of in zip(left, own, small, strict=True)):
         name, sides = parted(fitted, used)
         yield (
@@ -371,8 +371,8 @@ def _further(
         yield f"{numbers} measured numbers for {n_free} parameters are fitted exactly and show nothing: drive more runs"
     n_off = len(np.intersect1d(outliers, whole.recording.run_id[np.unique(whole.segments.run[large])]))
     if n_off > MANY_OUTLIERS * n_runs:
-        some = f", {n_off} by more than {100 * SMALL_SHARE:g} % of way or rotation" if n_off < len(outliers) else ""
-        yield f"{len(outliers)} of {n_runs} runs are outliers{some}: look at their references, times and counts"
+        beyond = f", {n_off} by more than {100 * SMALL_SHARE:g} % of way or rotation" if n_off < len(outliers) else ""
+        yield f"{len(outliers)} of {n_runs} runs are outliers{beyond}: look at their references, times and counts"
     rolled = float(np.hypot(heading.after * position.travelled, position.usual_noise))
     if heading.before and position.after > LACK_OF_FIT * rolled:
         yield (

@@ -198,7 +198,7 @@ def _rough_fit(model: Model, parameters: drives.Parameters, most: float) -> tupl
         if turns:
             residuals, jacobian = (each[:, None] for each in model.turns(values))
         else:
-            residuals, jacobian = (there := model.predict(values)).residuals, there.jacobian
+            residuals, jacobian = (prediction := model.predict(values)).residuals, prediction.jacobian
         size = sizes[:, -residuals.shape[1] :]
         step, share = _step(residuals / size, jacobian[:, :, free] * spread / size[:, :, None], most)
         if not share < most:

@@ -101,13 +101,13 @@ def sense(segments: "Segments", turn_rad: FloatArray, rolled: FloatArray, far: f
     heading = np.cumsum(turn_rad)
     steps = rolled * np.exp(1j * (heading - 0.5 * turn_rad))
     seen = segments.seen[:, :2].all(axis=1)
-    told = (segments.between(steps) * np.exp(-1j * heading[segments.first]))[seen]
+    by_wheels = (segments.between(steps) * np.exp(-1j * heading[segments.first]))[seen]
     measured = segments.measured[seen, 0] + 1j * segments.measured[seen, 1]
     measured[np.abs(measured) < far * segments.between(np.abs(rolled))[seen]] = 0.0
-    return float(np.vdot(told, measured).real / max(float(np.sum(np.abs(told) * np.abs(measured))), 1e-12))
+    return float(np.vdot(by_wheels, measured).real / max(float(np.sum(np.abs(by_wheels) * np.abs(measured))), 1e-12))
 
 
-def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(None)) -> FloatArray | None:
+def _regression(turned: FloatArray, heading: FloatArray, tested: slice = slice(None)) -> FloatArray | None:
     from scipy.special import ndtr, stdtrit
 
     normal, dof = turned @ turned.T, len(heading) - len(turned)
@@ -120,10 +120,10 @@ def _regression(turned: FloatArray, heading: FloatArray, told: slice = slice(Non
         spread = 1.483 * float(np.median(np.abs(residuals))) * float(np.sqrt(len(heading) / dof)) + 1e-9
         weights = 1.0 / (1.0 + np.square(residuals / (3.0 * spread)))
     std = spread * np.sqrt(np.diag(np.linalg.inv(normal)))
-    return np.asarray(slope) if np.all(np.abs(slope[told]) > stdtrit(dof, ndtr(CLEAR)) * std[told]) else None
+    return np.asarray(slope) if np.all(np.abs(slope[tested]) > stdtrit(dof, ndtr(CLEAR)) * std[tested]) else None
 
 
-def front_faults(recording: "Recording", segments: "Segments", radius_m: float, *, by_shaft: bool = False) -> Corrected:
+def front_faults(recording: "Recording", segments: "Segments", radius_m: float, *, by_shaft: bool) -> Corrected:
     """Return the recording with steering zero and signs corrected, and what was wrong.
 
     Of mirrored solutions of the same residual that with positive lengths is the vehicle's. `radius_m`: nominal;
@@ -149,7 +149,7 @@ def front_faults(recording: "Recording", segments: "Segments", radius_m: float, 
     ways = (_of_front(rolled, steer) if by_shaft else rolled) * np.stack([np.sin(steer), np.cos(steer)])
     by_ways = segments.between(ways)[:, headed]
     turning, *_ = np.linalg.lstsq(by_ways.T, turned, rcond=None)
-    clear = _regression(by_ways, turned, told=slice(1)) is not None
+    clear = _regression(by_ways, turned, tested=slice(1)) is not None
     backwards = sense(segments, turning @ ways, radius_m * ways[1], 0.0 if clear else FAR) < -ALONG
     if backwards:
         faults.append(Fault("reversed_front", "the front counter runs backwards; correct its sign"))
@@ -375,13 +375,13 @@ def _nominal(recording: "Recording", segments: "Segments", drive: "Drive") -> "t
 
 def _left(model: "Model", values: FloatArray) -> tuple[float, float]:
     seen = model.segments.seen.all(axis=1)
-    measured, rest = model.segments.measured[seen], model.residuals(values)[seen]
+    measured, residuals = model.segments.measured[seen], model.residuals(values)[seen]
     if not len(measured):
         return 0.0, 0.0
-    way, missed = (part[:, 0] + 1j * part[:, 1] for part in (measured, rest))
+    way, missed = (part[:, 0] + 1j * part[:, 1] for part in (measured, residuals))
     turned = float(np.angle(np.vdot(way - missed, way)))
     short = np.mean(np.abs(way - (way - missed) * np.exp(1j * turned)) ** 2) / max(np.mean(np.abs(way) ** 2), 1e-12)
-    turn, of_turn = np.mean(np.square([measured[:, 2], rest[:, 2]]), axis=1)
+    turn, of_turn = np.mean(np.square([measured[:, 2], residuals[:, 2]]), axis=1)
     return float(short + of_turn / (turn + LEAST_TURN_RAD**2)), abs(turned)
 
 

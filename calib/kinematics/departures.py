@@ -107,16 +107,16 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     flat = (back @ jacobian).reshape(-1, jacobian.shape[2])
     both = (back @ np.stack([shift, residuals], axis=2)).reshape(-1, 2)
     # without what the vehicle's parameters explain
-    column, rest = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
+    column, unexplained = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
     information, runs = float(column @ column), model.segments.run
     group = np.repeat(runs if len(np.unique(runs)) >= FEWEST_GROUPS else model.segments.block, 3)
     few = model.segments.seen.sum() <= flat.shape[1] + FEWEST_GROUPS
     if few or information <= 0.0 or len(np.unique(group)) < min(FEWEST_GROUPS, flat.shape[1] + 2):
         return 0.0, 0.0, np.inf
-    steps = float(column @ rest) / information
-    pulls = np.bincount(group, column * (rest - steps * column))
+    steps = float(column @ unexplained) / information
+    pulls = np.bincount(group, column * (unexplained - steps * column))
     std = float(np.sqrt(np.square(pulls).sum())) / information
-    share = 1.0 - float(np.square(rest - steps * column).sum() / max(float(rest @ rest), 1e-300))
+    share = 1.0 - float(np.square(unexplained - steps * column).sum() / max(float(unexplained @ unexplained), 1e-300))
     return share, steps * departure.step, std * abs(departure.step)
 
 

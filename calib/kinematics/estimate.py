@@ -84,8 +84,8 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
     with suppress(RefusedError):
         # closed loops end alike in a mirror, and by exchanged wheels; clocks do not matter to them
         codes = {fault.code for fault in by_windows.faults}
-        told = by_windows.passed or MIRRORED & codes or (codes - OF_CLOCKS and not by_windows.misfit)
-        return by_windows if told else _told_by(by_windows, estimated("end_poses"))
+        trusted = by_windows.passed or MIRRORED & codes or (codes - OF_CLOCKS and not by_windows.misfit)
+        return by_windows if trusted else _told_by(by_windows, estimated("end_poses"))
     return by_windows
 
 
@@ -235,8 +235,8 @@ def _without_departure(fit: _Fit) -> Geometry:
     if hidden:
         # without a delay of each recording it has to leave less, on the same windows
         changed = departure.change(recording, size)
-        there = replace(other.fitted.model, recording=changed, segments=fit.common.model.segments)
-        more_left = _mean_off_m(there, other.fitted) > _mean_off_m(fit.fitted.model, fit.fitted)
+        model = replace(other.fitted.model, recording=changed, segments=fit.common.model.segments)
+        more_left = _mean_off_m(model, other.fitted) > _mean_off_m(fit.fitted.model, fit.fitted)
         if corrected.misfit or corrected.delays or more_left:
             return geometry
     return geometry.doubted(fault) if corrected.misfit or fault.code.endswith("_slip") else corrected
@@ -337,9 +337,10 @@ def _transfer(
     labels = campaign.runs.label(leave_out)
     rows = []
     for label in stepped(dict.fromkeys(labels), progress, "held out in turn"):
-        rest, tried = (recording_of(campaign.select((labels == label) == held), whole.source) for held in (False, True))
-        drive = drive_of(campaign, whole.source, rest)
-        fitted = fit_parameters(campaign, drive, rest, next(divisions(rest, whole.using)), sensor)
+        parts = (campaign.select((labels == label) == held) for held in (False, True))
+        kept, tried = (recording_of(part, whole.source) for part in parts)
+        drive = drive_of(campaign, whole.source, kept)
+        fitted = fit_parameters(campaign, drive, kept, next(divisions(kept, whole.using)), sensor)
         model = Model(fitted.model.drive, tried, end_pose_segments(tried))
         vehicles = (fitted.parameters.nominal, fitted.solution.values)
         before, after = (rms(model.residuals(values)[:, :2]) for values in vehicles)

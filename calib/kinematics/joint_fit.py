@@ -245,7 +245,7 @@ def parted(fitted: Fitted, used: BoolArray) -> tuple[str, list[str]]:
     number = fitted.model.segments.run[used]
     runs = np.unique(number)
     each = [(flattened(jacobian[number == run]), white[number == run].ravel()) for run in runs]
-    normal, pull = (np.array([part.T @ part for part, _ in each]), np.array([part.T @ rest for part, rest in each]))
+    normal, pull = np.array([part.T @ part for part, _ in each]), np.array([part.T @ own for part, own in each])
     alone = np.square(pull) / np.maximum(np.einsum("nii->ni", normal), 1e-300)
     less = pull[:, int(np.argmax(alone.sum(axis=0)))] < 0.0
     for _ in runs:

@@ -303,7 +303,7 @@ def replicates(whole: Model, way_m: FloatArray, load_width_N: float | None = Non
 
     With `load_width_N` in speed and, to so much, in load, too.
     """
-    told = whole.segments.measured - whole.residuals(drives.nominal_values(whole.drive))
+    by_wheels = whole.segments.measured - whole.residuals(drives.nominal_values(whole.drive))
     steps, lapse_s = whole.recording.steps, np.maximum(np.diff(whole.recording.t_s, prepend=0.0), 1e-3)
     rolled = np.abs(steps.turned_rad).mean(axis=0)
     total = np.maximum(whole.segments.between(rolled), 1e-9)
@@ -313,8 +313,8 @@ def replicates(whole: Model, way_m: FloatArray, load_width_N: float | None = Non
     while (group < 0).any():
         at = int(np.argmin(group))
         near = np.abs(way_m - way_m[at]) < REPLICATE_SHARE * way_m[at]
-        near &= np.hypot(*(told[:, :2] - told[at, :2]).T) < REPLICATE_SHARE * way_m[at]
-        near &= np.abs(told[:, 2] - told[at, 2]) < REPLICATE_TURN_RAD
+        near &= np.hypot(*(by_wheels[:, :2] - by_wheels[at, :2]).T) < REPLICATE_SHARE * way_m[at]
+        near &= np.abs(by_wheels[:, 2] - by_wheels[at, 2]) < REPLICATE_TURN_RAD
         if load_width_N is not None:
             near &= np.abs(speed - speed[at]) < REPLICATE_SPEED * speed[at]
             near &= (np.abs(load_N - load_N[:, [at]]) < load_width_N).all(axis=0)

@@ -159,15 +159,15 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
         return
 
     def headings(recording: Recording) -> Recording:
-        told = since_start(nominal_motion(drive, recording.steps)[2], recording.offsets)
+        heading = since_start(nominal_motion(drive, recording.steps)[2], recording.offsets)
         # in a map a run starts at a heading of its own, of which z leaves two
         reference, first = recording.reference.copy(), recording.reference[2, recording.offsets[:-1]]
         starts = np.nan_to_num([2.0 * np.arcsin(first), 2.0 * (np.pi - np.arcsin(first))])
-        of_start = [_of_quaternion(reference[2], told + np.repeat(at, np.diff(recording.offsets))) for at in starts]
+        of_start = [_of_quaternion(reference[2], heading + np.repeat(at, np.diff(recording.offsets))) for at in starts]
         off = [np.add.reduceat(np.nan_to_num(off), recording.offsets[:-1]) for _, off in of_start]
         nearer = np.repeat(np.argmin(off, axis=0), np.diff(recording.offsets))
         reference[2] = np.where(nearer, of_start[1][0], of_start[0][0])
-        ends, other = told[recording.offsets[1:] - 1], recording.with_reference(reference)
+        ends, other = heading[recording.offsets[1:] - 1], recording.with_reference(reference)
         ends = np.where(_followed(other), other.end_pose[:, 2], _of_quaternion(recording.end_pose[:, 2], ends)[0])
         return replace(other, end_pose=np.column_stack([other.end_pose[:, :2], ends]))
 

@@ -310,15 +310,15 @@ def noise_sizes(fitted: Fitted, stated: FloatArray) -> list[dict[str, float]]:
     """
     model, solution = fitted.model, fitted.solution
     segments, scales = model.segments, solution.scales
-    some = slice(None, None, max(1, len(segments) // NOISE_STRETCHES))
-    seen, block, rest = segments.seen[some], segments.block[some], _enlarged(fitted)[some]
+    thinned = slice(None, None, max(1, len(segments) // NOISE_STRETCHES))
+    seen, block, residuals = segments.seen[thinned], segments.block[thinned], _enlarged(fitted)[thinned]
     body, yaw_rad = model.motion(solution.values).body, float(solution.values[-2])
-    kernel = kernels(solution.prediction.path, body, segments, yaw_rad)[:, some]
+    kernel = kernels(solution.prediction.path, body, segments, yaw_rad)[:, thinned]
     size = seen.sum(axis=1)
     for _ in range(ROUNDS):
         inverse = np.linalg.inv(np.tensordot(scales, kernel, 1) + np.eye(3) * ~seen[:, None])
-        pull, pulled = (inverse @ rest[:, :, None])[:, :, 0], inverse @ kernel
-        squares = (pull * rest).sum(axis=1)
+        pull, pulled = (inverse @ residuals[:, :, None])[:, :, 0], inverse @ kernel
+        squares = (pull * residuals).sum(axis=1)
         weights = NORMAL_GAIN[size] * (DEGREES + size) / (DEGREES + squares)
         parts, traces = np.einsum("n,ni,knij,nj->kn", weights, pull, kernel, pull), np.einsum("knii->kn", pulled)
         readings = STATED_READINGS / scales

@@ -182,8 +182,8 @@ def solve(
         pull = np.sqrt(pulls)[:, None] * parameters.pull, np.sqrt(pulls) * off
         problem = _Linear(np.ascontiguousarray(prediction.residuals.T), by_spread, seen, size, *pull)
         if number < noise_rounds:
-            some = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
-            scales = _noise(problem.part(some), np.ascontiguousarray(kernel[:, :, some]), scales, stated, steady)
+            thinned = slice(None, None, max(1, len(size) // NOISE_STRETCHES))
+            scales = _noise(problem.part(thinned), np.ascontiguousarray(kernel[:, :, thinned]), scales, stated, steady)
             whitener = _whiteners(kernel, scales, seen)
         spreads, sigmas = _settle(problem, whitener)
         step = np.zeros(len(values))
@@ -237,10 +237,10 @@ class _Linear:
     pull: FloatArray  #: towards nominal values, shape (n_rows, n_free)
     off: FloatArray  #: shape (n_rows,)
 
-    def part(self, some: slice) -> "_Linear":
-        jacobian = np.ascontiguousarray(self.jacobian[:, some])
-        residuals = self.residuals[:, some].copy()
-        return replace(self, residuals=residuals, jacobian=jacobian, seen=self.seen[some], size=self.size[some])
+    def part(self, chosen: slice) -> "_Linear":
+        jacobian = np.ascontiguousarray(self.jacobian[:, chosen])
+        residuals = self.residuals[:, chosen].copy()
+        return replace(self, residuals=residuals, jacobian=jacobian, seen=self.seen[chosen], size=self.size[chosen])
 
     def whitened(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return Jacobian, shape (3 n, n_free), and residuals, shape (3 n,), whitened."""
@@ -275,8 +275,8 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, stated: Flo
         whitener = _whiteners(kernel, scales, problem.seen)
         jacobian, residuals = problem.whitened(whitener)
         step = _weighted(problem, jacobian, residuals, jacobian @ step)
-        rest = (residuals - jacobian @ step).reshape(3, -1)
-        pulled = _pulled(whitener, rest * np.sqrt(_weights(rest, problem.size)[0]))
+        left = (residuals - jacobian @ step).reshape(3, -1)
+        pulled = _pulled(whitener, left * np.sqrt(_weights(left, problem.size)[0]))
         size, trace = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel(), flat @ _inverse(whitener).ravel()
         now = scales
         size, trace = size + STATED_READINGS * stated / now**2, trace + STATED_READINGS / now
@@ -356,9 +356,9 @@ def _advance(
     part, most = 1.0, loss(here[0], here[1].residuals) * (1.0 + 1e-12)
     while part == 1.0 or part >= least_part:
         tried = here[0] + part * step
-        there = model.predict(tried) if part == 1.0 else None
-        if loss(tried, there.residuals if there else model.residuals(tried)) <= most:
-            return tried, there or model.predict(tried)
+        prediction = model.predict(tried) if part == 1.0 else None
+        if loss(tried, prediction.residuals if prediction else model.residuals(tried)) <= most:
+            return tried, prediction or model.predict(tried)
         part *= 0.4
     return None
 

@@ -209,7 +209,7 @@ def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directi
     """
     flat, residuals, root, scale = _unit_columns(solution, free)
     parts = [(flat[rows], residuals[rows]) for rows in _rows_of(block)]
-    pulls = _influence(solution) * np.stack([part.T @ rest for part, rest in parts])
+    pulls = _influence(solution) * np.stack([part.T @ residual for part, residual in parts])
     information = np.stack([part.T @ part for part, _ in parts])
     covariance, freedom = covariance_along(pulls, information, (directions * scale) @ root)
     back = np.linalg.inv(directions)
@@ -250,11 +250,11 @@ def sandwich(
     # columns: what a unit of each parameter, and of each sum, is in the new columns
     turned = root.T @ (wanted * scale).T
     for rows in _rows_of(cluster):
-        part, rest = flat[rows], residuals[rows]
+        part, residual = flat[rows], residuals[rows]
         left, singular, right = np.linalg.svd(part, full_matrices=False)
         grow = np.maximum(1.0 - singular**2, 1e-6) ** -power - 1.0
         lever = part + (left * (grow * singular)) @ right
-        pulls.append(lever.T @ rest)
+        pulls.append(lever.T @ residual)
         seen = lever @ turned
         sizes.append(np.square(seen).sum(axis=0))
         shares.append(part.T @ seen)
@@ -317,23 +317,23 @@ def left_within(solution: Solution, free: BoolArray, segments: Segments, labels:
     turned[:, 2, 0] = -1.0
     turned[~segments.seen] = 0.0
     columns = np.concatenate([solution.prediction.jacobian[:, :, free], turned], axis=2)
-    rest = solution.prediction.residuals
-    white, white_rest = solution.whitener @ columns, np.einsum("nij,nj->ni", solution.whitener, rest)
+    residuals = solution.prediction.residuals
+    white, white_residuals = solution.whitener @ columns, np.einsum("nij,nj->ni", solution.whitener, residuals)
     session, longest = labels[segments.run], segments.level == 0
-    told, squares, dof, left, n_segments = np.zeros_like(longest), 0.0, 0, np.zeros(2), np.zeros(2)
+    enough, squares, dof, left, n_segments = np.zeros_like(longest), 0.0, 0, np.zeros(2), np.zeros(2)
     for label in np.unique(session[longest]):
         at = (session == label) & longest
-        (step, square, rank), seen = _least_squares(white[at], white_rest[at]), segments.seen[at]
+        (step, square, rank), seen = _least_squares(white[at], white_residuals[at]), segments.seen[at]
         if (size := int(seen.sum())) < 2 * rank:
             continue
-        own = rest[at] - columns[at] @ step
-        told, squares, dof = told | at, squares + square, dof + size - rank
+        own = residuals[at] - columns[at] @ step
+        enough, squares, dof = enough | at, squares + square, dof + size - rank
         left += np.array([np.square(own[:, :2]).sum(), np.square(own[:, 2]).sum()]) * size / (size - rank)
         n_segments += seen[:, :2].any(axis=1).sum(), seen[:, 2].sum()
     if squares > 0.0:
         # axes turned alike in all sessions are no difference between them
-        _, together, rank = _least_squares(white[told], white_rest[told])
-        more = int(segments.seen[told].sum()) - rank - dof
+        _, together, rank = _least_squares(white[enough], white_residuals[enough])
+        more = int(segments.seen[enough].sum()) - rank - dof
         if more > 0 and fdtrc(more, dof, (together - squares) / more / (squares / dof)) <= SESSIONS_CHANCE:
             position, heading = np.sqrt(left / np.maximum(n_segments, 1.0))
             return float(position), float(heading)

@@ -155,10 +155,10 @@ def _loop(
     halves, middle, dx, dy = np.empty(_COUNT), np.empty(_COUNT), np.empty(_COUNT), np.empty(_COUNT)
     for run in range(len(starts)):
         stop = starts[run + 1] if run + 1 < len(starts) else len(left)
-        so_far, rest = pose[:, run].copy(), np.zeros(3)
+        so_far, carry = pose[:, run].copy(), np.zeros(3)
         for first in range(starts[run], stop, _COUNT):
             count = min(_COUNT, stop - first)
-            at_x, at_y, at_theta = so_far[0] + rest[0], so_far[1] + rest[1], so_far[2] + rest[2]
+            at_x, at_y, at_theta = so_far[0] + carry[0], so_far[1] + carry[1], so_far[2] + carry[2]
             turned = largest = 0.0
             for k in range(count):
                 half = 0.5 * (right[first + k] - left[first + k]) * per_m[first + k if varies else 0]
@@ -195,7 +195,7 @@ def _loop(
             for j, gone in enumerate((gone_x, gone_y, turned)):
                 # with its rounding (Neumaier): equal steps add up no bias
                 ahead, before = so_far[j] + gone, so_far[j]
-                rest[j] += (before - ahead) + gone if abs(before) >= abs(gone) else (gone - ahead) + before
+                carry[j] += (before - ahead) + gone if abs(before) >= abs(gone) else (gone - ahead) + before
                 so_far[j] = ahead
 
 

@@ -155,8 +155,8 @@ class LawPath:
                 unit = f"{units[i]}2" if units[i] == units[j] else f"{units[i]}_{units[j]}"
                 columns[f"{part}_{axes[i]}_{axes[j]}_{unit}"] = getattr(self.corrected, part)[:, i, j]
         regions = posing.ellipses(self.corrected.systematic + self.corrected.random)
-        columns |= {"ellipse95_major_m": regions.major_m, "ellipse95_minor_m": regions.minor_m}
-        return rows_of(columns | {"ellipse95_angle_rad": regions.angle_rad})
+        names = ("ellipse95_major_m", "ellipse95_minor_m", "ellipse95_angle_rad")
+        return rows_of(columns | dict(zip(names, regions, strict=True)))
 
     def _loads(self) -> dict[str, FloatArray]:
         left, right = self.loading.at(self.distance_m)

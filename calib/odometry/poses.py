@@ -256,28 +256,19 @@ def _running(variance: FloatArray, direction: FloatArray) -> FloatArray:
     return np.moveaxis(np.cumsum(variance * direction[:, None] * direction, axis=-1), (0, 1), (-2, -1))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ellipses:
-    """Error ellipses of positions, which hold 95 %."""
+def ellipses(covariance: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the error ellipses of positions, which hold 95 %: both semi-axes in m, the major one first, each (...).
 
-    #: shape (...): semi-axes
-    major_m: FloatArray
-    minor_m: FloatArray
-    angle_rad: FloatArray  #: shape (...): direction of the major axis from the x axis, in (-pi/2, pi/2]
-
-
-def ellipses(covariance: ArrayLike) -> Ellipses:
-    """Return the error ellipses of pose covariances, shape (..., 3, 3) or (..., 2, 2), x and y in m^2 first."""
+    The third is the major axis' direction from the x axis in rad, in (-pi/2, pi/2]. `covariance`: of poses, shape
+    (..., 3, 3) or (..., 2, 2), x and y in m^2 first.
+    """
     c = floats(covariance)
     mean, half = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])
     spread = np.hypot(half, c[..., 0, 1])
     # 2.45 standard deviations in two dimensions
     k = np.sqrt(-2.0 * np.log1p(-0.95))
-    return Ellipses(
-        major_m=np.asarray(k * np.sqrt(np.maximum(mean + spread, 0.0))),
-        minor_m=np.asarray(k * np.sqrt(np.maximum(mean - spread, 0.0))),
-        angle_rad=np.asarray(0.5 * np.arctan2(c[..., 0, 1], half)),
-    )
+    major, minor = (np.asarray(k * np.sqrt(np.maximum(square, 0.0))) for square in (mean + spread, mean - spread))
+    return major, minor, np.asarray(0.5 * np.arctan2(c[..., 0, 1], half))
 
 
 def _sinc_slope(u: FloatArray) -> FloatArray:

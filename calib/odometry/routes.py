@@ -143,7 +143,7 @@ def read_route(path: Path) -> Route:
     That has ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
     """
 
-    def bad(found: str, expected: str, column: str | None = None) -> BadFileError:
+    def bad(found: str, expected: str, column: str) -> BadFileError:
         return BadFileError(path, found=found, expected=expected, remedy="correct the route file", column=column)
 
     document = load_toml(path, str(path), remedy="give the path of a route file")

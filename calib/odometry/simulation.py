@@ -133,9 +133,7 @@ class Sweep:
         return rows
 
 
-def run_sweep(
-    route: Route | str, cases: Sequence[Case], *, track_m: float = 0.7, real_track_m: float | None = None
-) -> Sweep:
+def run_sweep(route: Route | str, cases: Sequence[Case], *, track_m: float, real_track_m: float | None = None) -> Sweep:
     """Drive vehicles with different radii over a route (or of that name); the real track is `track_m` by default."""
     way = find_route(route) if isinstance(route, str) else route
     believed = Axle(1.0, 1.0, track_m)

@@ -158,9 +158,9 @@ def make_campaigns(
     truth: Mapping[str, float] | Causes,
     rng: np.random.Generator,
     *,
-    noise: Noise | None = None,
-    model: OdometryModel | None = None,
-    names: Sequence[str] = ("campaign",),
+    noise: Noise | None,
+    model: OdometryModel | None,
+    names: Sequence[str],
 ) -> tuple[Campaign, ...]:
     """Drive a design as often as there are names, with other noise each; see `make_campaign`."""
     noise = noise or random_noise(rng)
@@ -280,7 +280,7 @@ def plan_fleet(rng: np.random.Generator, size: FleetSize) -> PlannedFleet:
     order = rng.permutation(n_vehicles)
     odd, drifting = order[:n_outliers], order[n_outliers : n_outliers + n_drifting]
     in_hall = rng.permutation(n_vehicles)[: size.n_common]
-    outliers, slow, common = (tuple(sorted(names[k] for k in some)) for some in (odd, drifting, in_hall))
+    outliers, slow, common = (tuple(sorted(names[k] for k in group)) for group in (odd, drifting, in_hall))
     truth = FleetTruth(outliers=outliers, drifting=slow, common=common)
     radius = rng.normal(truth.radius_mean_m, truth.radius_spread_m, (n_vehicles, 2))
     slope = rng.normal(truth.slope_mean_m_per_N, truth.slope_spread_m_per_N, (n_vehicles, 2))
@@ -354,7 +354,7 @@ def make_posed_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) ->
     relative = rng.normal(0.0, 5e-4, size.n_vehicles)
     relative[odd] += rng.choice((-1e-2, 1e-2), size.n_outliers)
     track_m = dict(zip(names, (model.track_m * (1.0 + relative)).tolist(), strict=True))
-    outliers, common = (tuple(sorted(names[number] for number in some)) for some in (odd, in_hall))
+    outliers, common = (tuple(sorted(names[number] for number in group)) for group in (odd, in_hall))
     truth = PosedTruth(track_m, model.track_m, 5e-4 * model.track_m, outliers, common)
     zone = Cause("floor_zone", ZONE_SHARE, "heading", {"at_m": truth.zone_at_m, "long_m": truth.zone_long_m})
     for number, name in enumerate(names):

@@ -22,8 +22,8 @@ from calib.challenge import Seeds, each, recipes
 from calib.challenge.cases import Recipe, Truth, campaigns_of, case_design, truth_of
 from calib.gap import diagnose as diagnosis
 from calib.gap.decision.diagnosis import VerdictKind
+from calib.gap.inference.marginal_likelihood import ScaleEvidence
 from calib.gap.inference.noise import Noise, estimate_noise
-from calib.gap.inference.scale_evidence import ScaleEvidence
 from calib.gap.predict import Path
 from calib.plant import build_world, quiet
 from calib.plant.drive import drive

@@ -92,13 +92,13 @@ def test_a_target_that_exists_is_refused_before_the_work(
 def test_an_interruption_is_one_line_that_says_what_was_kept(
     project_root: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from calib.cli import terminal
+    from calib import cli
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     arguments = ["fit", str(project_root / "sample_runs/corridor"), "--json", str(tmp_path / "fit.json")]
-    monkeypatch.setattr(terminal, "write_json", interrupted)
+    monkeypatch.setattr(cli, "write_json", interrupted)
     assert run(arguments) == 130
     assert capsys.readouterr().err == "calib: interrupted; nothing was written, and nothing half-written is left\n"
     monkeypatch.setattr("calib.radius.result.write_result", lambda *_, **__: tmp_path / "result")

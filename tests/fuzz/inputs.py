@@ -11,7 +11,8 @@ from pathlib import Path
 
 import typer
 
-from calib.cli import ALSO, COMMANDS, OUTPUTS, Guarded, function_of
+from calib.cli import COMMANDS, function_of
+from calib.cli.main import ALSO, OUTPUTS, Guarded
 from tests.fuzz.answer import Outcome, outcome
 from tests.fuzz.damage import WORDS, damaged, resealed
 from tests.fuzz.quantities import quantity_case

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
+from calib.cli import visible
 from calib.cli.main import run
-from calib.cli.terminal import visible
 from calib.documents import csv_text, spreadsheet_cell
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -214,7 +214,7 @@ def _without_counts(line: str) -> bool:
     return COUNT_UNITS[column.wheel_unit][0] in {"angle", "rate", "length"}
 
 
-def write_blank(folder: Path, *, force: bool = False) -> tuple[Path, ...]:
+def write_blank(folder: Path, *, force: bool) -> tuple[Path, ...]:
     """Write an empty campaign: ``campaign.toml`` with remarks, ``runs.csv`` with its header, and ``logs``.
 
     Raises BadInputError where a campaign exists there and `force` is False.

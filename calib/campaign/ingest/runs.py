@@ -226,7 +226,7 @@ def _without_repeats(raw: RawTable, shown: str, border: Border, known: Rows) -> 
 
 
 def match_logs(
-    runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border, table: RawTable | None = None
+    runs: RunTable, files: Sequence[Path], log: LogSection, shown: str, border: Border, table: RawTable | None
 ) -> tuple[dict[int, dict[str, Path]], dict[int, str]]:
     """Return each run's files by ``log.files``, a single one under an empty name; and missing logs' names.
 

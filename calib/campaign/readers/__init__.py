@@ -68,7 +68,7 @@ def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None 
     return recording
 
 
-def interpolated(stream: Stream, column: str, at_ns: IntArray, *, shift_ns: int = 0) -> FloatArray:
+def interpolated(stream: Stream, column: str, at_ns: IntArray, shift_ns: int) -> FloatArray:
     """Return a column at other times, (n_times,), NaN outside the span and in gaps.
 
     `shift_ns`: the stream's lag, taken off first.
@@ -111,7 +111,7 @@ def joined_table(
                 columns[name] = values
             elif time is not None and stream.time_ns is not None:
                 shift_ns = round((shifts_s or {}).get(name, 0.0) * NS_PER_S)
-                columns[name] = interpolated(stream, name, time, shift_ns=shift_ns)
+                columns[name] = interpolated(stream, name, time, shift_ns)
     return RawTable(columns, np.arange(1, len(base) + 1, dtype=np.int64), recording.notes, epochs)
 
 

@@ -104,19 +104,16 @@ class FloorZone(Effect):
         lane, far_end = lanes(observations), far_end_m(observations)
         places: WeakKeyDictionary[Path, tuple[FloatArray, FloatArray, FloatArray]] = WeakKeyDictionary()
 
+        def located(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
+            return *floor_place(path, path.s.here(far_end)), np.cos(map_heading_rad(path))
+
         def place(path: Path) -> tuple[FloatArray, FloatArray, FloatArray]:
             if path not in places:
-                x, y = floor_place(path, path.s.here(far_end))
-                x[~path.s.from_log[path.s.unit]] = np.inf
-                places[path] = x, y, np.cos(map_heading_rad(path))
+                places[path] = located(path)
+                places[path][0][~path.s.from_log[path.s.unit]] = np.inf
             return places[path]
 
-        nominal = predict(observations)
-
-        def places_of(part: Path) -> FloatArray:
-            return np.stack([*floor_place(part, part.s.here(far_end)), np.cos(map_heading_rad(part))], axis=1)
-
-        x, y, cosine = nominal.of_parts(places_of).T
+        x, y, cosine = predict(observations).of_parts(lambda part: np.stack(located(part), axis=1)).T
         cells = _cells(observations, lane[observations.unit], x, y, cosine)
         along = Parameter("along", "1", typical=1e-3, largest=2e-2)
         turns = tuple(Parameter(name, "rad/m", typical=1e-3, largest=2e-2) for name in ("turn", "turn_by_heading"))

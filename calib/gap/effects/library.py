@@ -143,7 +143,7 @@ def every_effect(observations: Observations, *, declared: object = ()) -> dict[s
     return {effect.id: effect for effect in (*registered, *covariates, *own)}
 
 
-def check_excluded(exclude: Collection[str], observations: Observations, declared: object = ()) -> None:
+def check_excluded(exclude: Collection[str], observations: Observations, declared: object) -> None:
     """Refuse to exclude an unknown effect; the error names ids that begin alike."""
     known = every_effect(observations, declared=declared)
     for name in exclude:

@@ -289,8 +289,8 @@ def squares_by_unit(path: Path, noise: Noise, left: FloatArray) -> FloatArray:
 def signature_columns(path: Path, forms: Sequence[Form]) -> list[FloatArray]:
     """Return each form's signatures times typical sizes, each (n_units, 6, n_parameters)."""
     columns = [np.zeros((len(path.s), path.s.usable.shape[1], len(form.parameters))) for form in forms]
-    for number, units, some in signatures_by_part(path, forms):
-        columns[number][units] = some
+    for number, units, signatures in signatures_by_part(path, forms):
+        columns[number][units] = signatures
     return columns
 
 

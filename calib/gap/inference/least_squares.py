@@ -10,8 +10,7 @@ import numpy as np
 from calib.gap.effects import Form
 from calib.gap.inference import fit as fitting
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, by_form, whitened
-from calib.gap.inference.lack_of_fit import LACK_OF_FIT_SCALES, Blocks, LackOfFit, lack_of_fit_components
-from calib.gap.inference.noise import Noise
+from calib.gap.inference.noise import LACK_OF_FIT_SCALES, Blocks, LackOfFit, Noise, lack_of_fit_components
 from calib.gap.inference.scalar_products import Layout, Reduced, Sums, above_rounding, scalar_products
 from calib.gap.observations import Observations
 from calib.gap.predict import Path, residuals
@@ -46,9 +45,9 @@ class LinearSystem:
         self.calibration[:] = fitting.whitened_rows(path, noise, fitting.recalibration_columns(path))[order]
         place = np.argsort(order)
         edges = np.concatenate(([0], np.cumsum(path.s.usable.sum(axis=1))))
-        for number, units, some in fitting.signatures_by_part(path, self.forms):
+        for number, units, signatures in fitting.signatures_by_part(path, self.forms):
             rows = place[edges[units.start] : edges[units.stop]]
-            self.of(number)[rows] = fitting.whitened_rows(path, noise, some, units)
+            self.of(number)[rows] = fitting.whitened_rows(path, noise, signatures, units)
         self.left = fitting.whitened(path, noise, residuals(path, nominal))[order]
         gap = self.left + self.calibration @ (fitted.calibration / CALIBRATION_SD)
         for number, (form, theta, _) in zip(self.numbers(fitted.forms), fitted.each(), strict=True):
@@ -164,14 +163,14 @@ class WhitenedSystem:
     def repeated(self, times: FloatArray) -> "WhitenedSystem":
         """Return the system with each observation made so often, (n_obs,), or not at all."""
         weight = np.sqrt(times)[np.nonzero(self.path.s.usable)[0], None]
-        rows, some = weight[:, 0] > 0.0, copy(self)
+        rows, resampled = weight[:, 0] > 0.0, copy(self)
 
         def made(columns: FloatArray) -> FloatArray:
             return np.asarray(columns[rows] * weight[rows])
 
-        some.calibration = made(self.calibration)
-        vars(some)["columns"] = lambda form: made(self.columns(form))
-        return some
+        resampled.calibration = made(self.calibration)
+        vars(resampled)["columns"] = lambda form: made(self.columns(form))
+        return resampled
 
     def columns(self, form: Form) -> FloatArray:
         """Return the whitened signatures of a form in typical sizes, shape (n_rows, n_parameters)."""
@@ -200,19 +199,19 @@ class Weighting:
     def __init__(
         self, system: LinearSystem, kind: int = -1, scale: float = 0.0, deviations: FloatArray | None = None
     ) -> None:
-        rest, nothing = system.kinds[kind] if kind >= 0 else LackOfFit(""), np.zeros((len(system.gap), 0))
-        self.system, self.name, self.scale = system, rest.name, scale
+        lack, nothing = system.kinds[kind] if kind >= 0 else LackOfFit(""), np.zeros((len(system.gap), 0))
+        self.system, self.name, self.scale = system, lack.name, scale
         #: shape (n, length, k): own columns of blocks of one length, to unit prior variance, beside unit noise
         self.own: list[FloatArray] = []
         for group, (_, places) in enumerate(system.blocks.alike):
-            stacks = [stack for stack in rest.stacks if stack.group == group]
+            stacks = [stack for stack in lack.stacks if stack.group == group]
             padded = np.zeros((*places.shape, max((stack.part.shape[2] for stack in stacks), default=0)))
             for stack in stacks:
                 padded[stack.same, :, : stack.part.shape[2]] = scale * stack.part
             own = system.blocks.alike_rows(nothing if deviations is None else deviations, group)
             self.own.append(np.concatenate([own, padded], axis=2))
         #: shape (n_rows, q): columns common to all blocks, to unit prior variance
-        self.common = nothing if rest.common is None else scale * rest.common
+        self.common = nothing if lack.common is None else scale * lack.common
 
     def _noise(self, own: FloatArray) -> FloatArray:
         # own columns far beyond their size leave the noise below rounding

@@ -1,4 +1,8 @@
-"""Marginal likelihood of Gaussian hypotheses: sets of forms, weighed by scalar products alone."""
+"""Marginal likelihood of Gaussian hypotheses: sets of forms by scalar products alone, and over the noise's scales.
+
+All runs tell the scales under each model, component by component: the integral is taken about the most likely ones
+(Laplace; Tierney and Kadane, JASA 81 (1986) 82).
+"""
 
 from collections.abc import Sequence
 from typing import Final
@@ -6,6 +10,9 @@ from typing import Final
 import numpy as np
 
 from calib.gap.effects import Form
+from calib.gap.inference.least_squares import LinearSystem
+from calib.gap.inference.noise_components import COMPONENTS, N_CHANNELS, PRIOR_MEDIANS, NoiseComponents, whitener_of
+from calib.gap.inference.repeatability import MAX_REPLICATES, PRIOR_SPREADS, SCALE_BOUNDS
 from calib.gap.inference.scalar_products import FormPriors, Sums
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -25,6 +32,10 @@ _NO_WEIGHT: Final = 1e-15
 _LEAST_PIVOT: Final = 1e-12
 #: log-evidence window of the best, beyond which wide forms are not weighed
 _NEGLIGIBLE: Final = 60.0
+#: steps from the scales of replicates to the most likely ones
+_MAX_STEPS: Final = 30
+#: of variances: channels exactly alike stay factorable
+_ROUNDING: Final = 1e-9
 
 
 class Nuisance:
@@ -106,10 +117,10 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
         size = int(np.clip(_BATCH_ENTRIES // (len(value) * entries), 1, _BATCH_SIZE))
         n_scales = max(_BATCH_ENTRIES // (size * entries), 1)
         for first in range(0, len(places), size):
-            some = slice(first, first + size)
+            batch = slice(first, first + size)
             for low in range(0, len(value), n_scales):
                 scales = slice(low, low + n_scales)
-                value[scales, places[some]] = _batch(sums.pick(scales), columns, index[some], owner[some])
+                value[scales, places[batch]] = _batch(sums.pick(scales), columns, index[batch], owner[batch])
     value += sums.log_prior[:, None] + prior
     if wide.any():
         with_wide = [model for model, is_wide in zip(models, wide, strict=True) if is_wide]
@@ -120,21 +131,21 @@ def log_weights(sums: Sums, columns: FormPriors, models: Sequence[tuple[int, ...
 def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) -> FloatArray:
     if index.shape[1] == 0:
         return log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
-    there = index >= 0
+    present = index >= 0
     # models last in memory: a column of all at once
     places = index.T
     gram = np.moveaxis(sums.gram[:, places[:, None], places[None]], 3, 1)
-    gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), there)
+    gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), present)
     variance = _variance(ridge_solve(gram, right, _RIDGE), owner, columns, index)
-    sign, square, log_det = np.where(there, columns.sign[index], 0), sums.square[:, None], sums.log_det[:, None]
+    sign, square, log_det = np.where(present, columns.sign[index], 0), sums.square[:, None], sums.log_det[:, None]
     return _log_evidence(gram, right, variance, sign, square, log_det, sums.n_rows)
 
 
-def _padded(gram: FloatArray, right: FloatArray, there: BoolArray) -> tuple[FloatArray, FloatArray]:
-    if not there.all():
-        gram = gram * (there[:, :, None] & there[:, None, :])
-        gram += np.eye(there.shape[1]) * np.where(there, 0.0, 1.0)[:, None, :]
-        right = right * there
+def _padded(gram: FloatArray, right: FloatArray, present: BoolArray) -> tuple[FloatArray, FloatArray]:
+    if not present.all():
+        gram = gram * (present[:, :, None] & present[:, None, :])
+        gram += np.eye(present.shape[1]) * np.where(present, 0.0, 1.0)[:, None, :]
+        right = right * present
     return gram, right
 
 
@@ -193,23 +204,23 @@ def _wide_at(sums: Sums, n: int, priors: FormPriors, index: IntArray, owner: Int
     assert sums.wide is not None
     own, across = sums.wide.at(n)
     eigen, axes = np.linalg.eigh(own)
-    eigen, turned, there = np.maximum(eigen, 0.0), axes.T @ across, index >= 0
+    eigen, turned, present = np.maximum(eigen, 0.0), axes.T @ across, index >= 0
     gram, right = sums.gram[n][index[:, :, None], index[:, None, :]], sums.right[n][index]
     beside, gap = turned[:, index].transpose(1, 0, 2), turned[:, -1]
 
     def reduced(share: FloatArray) -> tuple[FloatArray, FloatArray]:
         less = beside.transpose(0, 2, 1) * share[:, None, :]
-        return _padded(gram - less @ beside, right - less @ gap, there)
+        return _padded(gram - less @ beside, right - less @ gap, present)
 
     share = np.broadcast_to(1.0 / (eigen + _RIDGE), (len(index), len(eigen)))
     sizes = ridge_solve(*reduced(share), _RIDGE)
-    own_sizes = share * (gap - (beside @ (sizes * there)[:, :, None])[:, :, 0])
+    own_sizes = share * (gap - (beside @ (sizes * present)[:, :, None])[:, :, 0])
     most = float(priors.most[priors.layout.starts[priors.layout.wide]])
     scale = np.clip(np.sqrt((own_sizes**2).mean(axis=1)), _LEAST_SCALE, most)[:, None]
     share = 1.0 / (eigen + scale**-2)
     square = sums.square[n] - share @ gap**2
     log_det = sums.log_det[n] + np.log1p(scale**2 * eigen).sum(axis=1)
-    variance, sign = _variance(sizes, owner, priors, index), np.where(there, priors.sign[index], 0)
+    variance, sign = _variance(sizes, owner, priors, index), np.where(present, priors.sign[index], 0)
     gram, right = reduced(share)
     value = _log_evidence(gram[None], right[None], variance[None], sign, square, log_det, sums.n_rows)
     return np.asarray(value[0])
@@ -293,3 +304,88 @@ def model_sizes(sums: Sums, columns: FormPriors, model: tuple[int, ...], weight:
     for n in np.flatnonzero(weight > _NO_WEIGHT):
         sizes += weight[n] * ridge_solve(*sums.of_columns(int(n), place), _RIDGE)
     return sizes
+
+
+class ScaleEvidence:
+    """Likelihood of the noise's scales under a model by all units.
+
+    `system`: whitened by the estimated noise.
+    """
+
+    def __init__(self, system: LinearSystem) -> None:
+        noise, shapes = system.noise, NoiseComponents.about(system.path)
+        both = shapes.usable[:, :, None] & shapes.usable[:, None, :]
+        white = noise.whitener
+        self._active = shapes.active
+        self._kernels, fixed = (
+            np.where(both, white @ np.where(both, part, 0.0) @ white.transpose(0, 2, 1), 0.0)
+            / noise.weight[:, None, None]
+            for part in (shapes.kernels, shapes.fixed)
+        )
+        index = np.arange(N_CHANNELS)
+        fixed[:, index, index] += np.where(shapes.usable, _ROUNDING, 1.0)
+        self._fixed, self._blocks = fixed, system.blocks
+        self._estimated = np.log([noise.scales.get(name, median) for name, median, _ in COMPONENTS])
+        self._gap = self._by_unit(system.gap[:, None])[:, :, 0]
+
+    @staticmethod
+    def is_open(system: LinearSystem) -> bool:
+        """Return whether so few units leave the scales open; more tell them to a few per cent."""
+        return len(system.path.s) <= MAX_REPLICATES
+
+    def _by_unit(self, columns: FloatArray) -> FloatArray:
+        spread = np.zeros((len(self._fixed), N_CHANNELS, columns.shape[1]))
+        spread[self._blocks.unit, self._blocks.channel] = columns
+        return spread
+
+    def _whitened_at(self, log_scale: FloatArray) -> tuple[FloatArray, FloatArray]:
+        variance = np.asarray(np.exp(2 * log_scale) * self._active)
+        return variance, whitener_of(np.tensordot(variance, self._kernels, axes=1) + self._fixed)
+
+    def _cost(self, log_scale: FloatArray, columns: FloatArray) -> tuple[float, FloatArray, float, float]:
+        """Return minus the log likelihood with prior, its gradient, the gap's square and log |C|.
+
+        `columns`: (n_units, 6, q), of model and nuisances, to unit prior variance.
+        """
+        variance, factor = self._whitened_at(log_scale)
+        own, gap = factor @ columns, (factor @ self._gap[:, :, None])[:, :, 0]
+        flat = own.reshape(-1, own.shape[2])
+        lower = np.linalg.cholesky(np.eye(flat.shape[1]) + flat.T @ flat)
+        own = own @ np.linalg.inv(lower).T
+        along = own.reshape(flat.shape).T @ gap.ravel()
+        square = float((gap**2).sum() - along @ along)
+        diagonals = np.log(np.diagonal(factor, axis1=1, axis2=2)).sum(), np.log(np.diag(lower)).sum()
+        log_det = 2 * float(diagonals[1] - diagonals[0])
+        turned = factor.transpose(0, 2, 1)
+        alpha = (turned @ (gap - own @ along)[:, :, None])[:, :, 0]
+        kept = np.eye(N_CHANNELS) - own @ own.transpose(0, 2, 1)
+        inner = turned @ kept @ factor - alpha[:, :, None] * alpha[:, None, :]
+        away = (log_scale - np.log(PRIOR_MEDIANS)) / PRIOR_SPREADS * self._active
+        gradient = np.tensordot(self._kernels, inner, axes=([1, 2, 3], [0, 1, 2])) * variance + away / PRIOR_SPREADS
+        return 0.5 * (log_det + square + float(away @ away)), gradient, square, log_det
+
+    def _information(self, log_scale: FloatArray) -> FloatArray:
+        variance, factor = self._whitened_at(log_scale)
+        parts = (factor @ self._kernels[self._active] @ factor.transpose(0, 2, 1)).reshape(int(self._active.sum()), -1)
+        parts *= variance[self._active][:, None]
+        return np.asarray(2 * parts @ parts.T + np.diag(1.0 / PRIOR_SPREADS[self._active] ** 2))
+
+    def gain(self, columns: FloatArray) -> float:
+        """Return the log evidence over all scales less that at the estimated ones.
+
+        `columns`: (n_rows, q), whitened, of the model and what it may leave, to unit prior variance.
+        """
+        from scipy.optimize import minimize
+
+        spread = self._by_unit(columns)
+        _, _, square, log_det = self._cost(self._estimated, spread)
+        best = minimize(
+            lambda log_scale: self._cost(log_scale, spread)[:2],
+            self._estimated,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=SCALE_BOUNDS,
+            options={"maxiter": _MAX_STEPS, "ftol": 1e-7},
+        )
+        over_all = -float(best.fun) - 0.5 * float(np.linalg.slogdet(self._information(best.x))[1])
+        return over_all - float(log_marginal(square, log_det, len(self._blocks.unit)))

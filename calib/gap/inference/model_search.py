@@ -12,10 +12,10 @@ from calib.gap.effects import Effect, Form
 from calib.gap.inference import REPORTED_GAP_PROBABILITY
 from calib.gap.inference.fit import Fitted, fit, linear_rest
 from calib.gap.inference.least_squares import LinearSystem, prior_precision
-from calib.gap.inference.local_search import MOST_EFFECTS, LocalSearch, Model, SearchResult
+from calib.gap.inference.local_search import MOST_EFFECTS, NOISE_WINDOW, LocalSearch, Model, SearchResult
+from calib.gap.inference.marginal_likelihood import ScaleEvidence
 from calib.gap.inference.noise import Noise
 from calib.gap.inference.recalibration import SUBSETS, free_estimates, weigh_subsets
-from calib.gap.inference.scale_evidence import NOISE_WINDOW, ScaleEvidence, held_gain, scale_gains
 from calib.gap.predict import Path
 from calib.types import BoolArray, FloatArray
 
@@ -238,11 +238,12 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
     near = none in likely or weight[is_noise, none].max() > total.max() - NOISE_WINDOW
     if near and ScaleEvidence.is_open(local.system):
         integrated = {*likely, none, models.index(local.current)}
-        gain = scale_gains(local, weight, integrated, models, _LIKELY_WINDOW)
+        gain = local.scale_gains(weight, integrated, models, _LIKELY_WINDOW)
         gained = weight + gain
         if none in likely or gained[is_noise, none].max() > gained.max() - _LIKELY_WINDOW:
             gains = np.stack([gain[:, none]] * 2)
-            gains[0, 0] = held_gain(local)
+            # of noise alone, the calibration as believed
+            gains[0, 0] = ScaleEvidence(local.system).gain(local.system.calibration[:, 3:])
             weight = gained
     weighting, over_free = local.weighting(), dict[int, float]()
     beside_nothing: FloatArray = np.eye(len(SUBSETS))[SUBSETS.index(())]

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.gap.effects import Form
 from calib.gap.effects.library import effect_class
-from calib.gap.inference.lack_of_fit import Blocks, LackOfFit
+from calib.gap.inference.noise import Blocks, LackOfFit
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: cost of choosing the prior's scale by the fitted size, in log-evidence units

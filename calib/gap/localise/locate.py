@@ -8,7 +8,7 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.documents import plain_fields
 from calib.gap.effects.quantities import covariate_columns, driven_speed_mps
-from calib.gap.inference.fit import CALIBRATION_SD, whitened_rows
+from calib.gap.inference.fit import whitened_rows
 from calib.gap.inference.noise import Noise
 from calib.gap.localise import BOOTSTRAP_DRAWS, FALSE_FINDING_PROBABILITY, PlaceResult, find_places
 from calib.gap.observations import N_CHANNELS, Channel, Observations
@@ -341,8 +341,8 @@ def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Gen
     draws = rng.multinomial(n_units, np.full(n_units, 1.0 / n_units), BOOTSTRAP_DRAWS).astype(np.float64)
     lines = []
     for wheel, name in enumerate(("left wheel", "right wheel")):
-        explained, rest = _partial_squares(whole[None], wheel)
-        residual = max(float(rest[0]) / max(n - 2.0, 1.0), 1.0)
+        explained, unexplained = _partial_squares(whole[None], wheel)
+        residual = max(float(unexplained[0]) / max(n - 2.0, 1.0), 1.0)
         # without an intercept the noise level is as well known as by repeats
         p = float(fdtrc(1.0, float(np.clip(noise.dof, 3.0, max(n - 2.0, 3.0))), float(explained[0]) / residual))
         share = float(_shares(whole[None], np.array([n]), wheel)[0])
@@ -353,8 +353,7 @@ def wheel_tests(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Gen
 
 def _products(nominal: Path, noise: Noise, gap: FloatArray) -> tuple[FloatArray, FloatArray]:
     usable = nominal.s.usable
-    columns = np.concatenate([nominal.calibration[:, :, :2] * CALIBRATION_SD[:2], gap[:, :, None]], axis=2)
-    white = whitened_rows(nominal, noise, columns)
+    white = whitened_rows(nominal, noise, np.concatenate([nominal.calibration[:, :, :2], gap[:, :, None]], axis=2))
     unit = np.repeat(np.arange(len(usable))[:, None], N_CHANNELS, axis=1)[usable]
     products = np.zeros((len(usable), 3, 3))
     np.add.at(products, unit, white[:, :, None] * white[:, None, :])
@@ -362,8 +361,8 @@ def _products(nominal: Path, noise: Noise, gap: FloatArray) -> tuple[FloatArray,
 
 
 def _shares(moments: FloatArray, count: FloatArray, wheel: int) -> FloatArray:
-    explained, rest = _partial_squares(moments, wheel)
-    return _share(explained, 1, rest, count - 2.0, moments[:, 2, 2] - count)
+    explained, unexplained = _partial_squares(moments, wheel)
+    return _share(explained, 1, unexplained, count - 2.0, moments[:, 2, 2] - count)
 
 
 def _partial_squares(moments: FloatArray, wheel: int) -> tuple[FloatArray, FloatArray]:

@@ -298,7 +298,7 @@ def _what_to_set(named: Mapping[str, Declared], values: Mapping[str, float]) -> 
     return f"{'; '.join(parts)}."
 
 
-def without_parameter(diagnosis: Diagnosis, unnamed: str = "") -> Diagnosis:
+def without_parameter(diagnosis: Diagnosis, unnamed: str) -> Diagnosis:
     """Return a diagnosis that names no parameter, and says so; closure on held-out runs. `unnamed`: see `fixed`."""
     if diagnosis.kind in NO_GAP_SHOWN or any(
         name.startswith(SIMULATOR_PREFIX) for group in diagnosis.groups for name in group

@@ -183,13 +183,13 @@ def law_path_figure(path: LawPath, *, title: str) -> Figure:
     """Return the paths of a journey under a law with 95 % ellipses, and the band of the lateral error."""
     figure = canvas(8.6)
     plan, graph = figure.subplots(1, 2)
-    drawn_ellipses = ellipses(path.corrected.systematic + path.corrected.random)
+    major_m, minor_m, angle_rad = ellipses(path.corrected.systematic + path.corrected.random)
     route = path.corrected.poses
     extent = max(float(np.ptp(path.reference.x_m)), float(np.ptp(path.reference.y_m)), 1.0)
-    scale = round_down(0.125 * extent / max(float(drawn_ellipses.major_m.max()), 1e-9))
+    scale = round_down(0.125 * extent / max(float(major_m.max()), 1e-9))
     for k in np.unique(np.linspace(0, len(route) - 1, 13).astype(int))[1:]:
-        size = 2 * scale * drawn_ellipses.major_m[k], 2 * scale * drawn_ellipses.minor_m[k]
-        angle = float(np.degrees(drawn_ellipses.angle_rad[k]))
+        size = 2 * scale * major_m[k], 2 * scale * minor_m[k]
+        angle = float(np.degrees(angle_rad[k]))
         place = (route.x_m[k], route.y_m[k])
         plan.add_patch(Ellipse(place, *size, angle=angle, facecolor=SKY, edgecolor=BLUE, alpha=0.6))
     plan.plot(path.without.poses.x_m, path.without.poses.y_m, **_WITHOUT)

@@ -13,12 +13,11 @@ from calib.gap.effects.load import LoadRadius
 from calib.gap.inference.fit import fit
 from calib.gap.inference.least_squares import LinearSystem
 from calib.gap.inference.local_search import LocalSearch
-from calib.gap.inference.marginal_likelihood import log_marginal
+from calib.gap.inference.marginal_likelihood import ScaleEvidence, log_marginal
 from calib.gap.inference.model_search import _weighed
 from calib.gap.inference.noise import estimate_noise
 from calib.gap.inference.noise_components import COMPONENTS, PRIOR_MEDIANS, NoiseComponents
 from calib.gap.inference.repeatability import PRIOR_SPREADS
-from calib.gap.inference.scale_evidence import ScaleEvidence
 from calib.gap.observations import Channel
 from calib.gap.predict import predict, residuals
 from calib.types import FloatArray
