@@ -66,8 +66,8 @@ class ImplausibleError(CalibError):
     """
 
     def __init__(self, name: str, findings: Sequence[str]) -> None:
-        more = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
-        super().__init__(f"{name}: FAILED: {findings[0].rstrip('.')}{more}; correct it, or accept it with a reason")
+        suffix = f" (and {len(findings) - 1} more)" if len(findings) > 1 else ""
+        super().__init__(f"{name}: FAILED: {findings[0].rstrip('.')}{suffix}; correct it, or accept it with a reason")
         self.findings = tuple(findings)
 
 
@@ -185,9 +185,9 @@ def refuse_hostile_keys(text: str, shown: str) -> None:
     Raises BadFileError with the row.
     """
     if deep := _DEEP.search(text):
-        found, expected = f"a key of more than {KEY_PARTS} parts ({deep.group()[:20]}...)", f"at most {KEY_PARTS}"
+        actual, expected = f"a key of more than {KEY_PARTS} parts ({deep.group()[:20]}...)", f"at most {KEY_PARTS}"
         row = text.count("\n", 0, deep.start()) + 1
-        raise BadFileError(shown, found, expected, "correct the line", row=row)
+        raise BadFileError(shown, actual, expected, "correct the line", row=row)
 
 
 def refuse_other_than_date(text: str, first_year: int = 1) -> None:
@@ -221,8 +221,8 @@ def refuse_hostile_document(document: dict[str, object], shown: str) -> None:
                 deeper += [(key, entry) for entry in value]
         level = deeper
     if level:
-        found, expected = f"sections or lists more than {KEY_PARTS} deep", f"at most {KEY_PARTS}"
-        raise BadFileError(shown, found, expected, "correct the key", column=level[0][0][:60])
+        actual, expected = f"sections or lists more than {KEY_PARTS} deep", f"at most {KEY_PARTS}"
+        raise BadFileError(shown, actual, expected, "correct the key", column=level[0][0][:60])
 
 
 #: entries of an input folder searched for a hard link to the target; with more, the target is refused
@@ -248,10 +248,10 @@ def inputs_kept(paths: Iterable[Path | str]) -> Iterator[None]:
 
 def refuse_input(target: Path) -> None:
     """Raise BadInputError where `target` is an input, under any name: links, ``..``, another case."""
-    for given in _INPUTS.get():
-        if _is_input(Path(target), given):
+    for path in _INPUTS.get():
+        if _is_input(Path(target), path):
             raise BadInputError(
-                f"{target}: found an input of this command ({given}); expected another place for the output, since "
+                f"{target}: found an input of this command ({path}); expected another place for the output, since "
                 "inputs are never written over; choose another path"
             )
 
@@ -266,16 +266,16 @@ def refuse_special(path: Path) -> None:
             )
 
 
-def _is_input(target: Path, given: Path) -> bool:
+def _is_input(target: Path, path: Path) -> bool:
     try:
-        at, source = target.stat(), given.stat()
+        at, source = target.stat(), path.stat()
     except (OSError, ValueError, RuntimeError):
         return False  # what does not exist cannot be overwritten
     if not stat.S_ISDIR(source.st_mode):
         return os.path.samestat(at, source) and stat.S_ISREG(at.st_mode)
     if stat.S_ISDIR(at.st_mode):
         return False
-    if at.st_nlink > 1 and _is_linked_from(given, at):
+    if at.st_nlink > 1 and _is_linked_from(path, at):
         return True
     real = target.resolve()
     between: list[Path] = []

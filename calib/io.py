@@ -98,8 +98,8 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
             continue
         except OSError as error:
             # a file where a folder should be, a name that is too long, a folder without access
-            found = f"{path}: found {error.strerror}"
-            raise BadInputError(f"{found}; expected a place for a file; choose another path") from error
+            fault = f"{path}: found {error.strerror}"
+            raise BadInputError(f"{fault}; expected a place for a file; choose another path") from error
         except ValueError as error:
             raise BadInputError(f"{path}: found {error}; expected a path; correct it") from error
 
@@ -150,10 +150,10 @@ def inside(
     except (OSError, ValueError, RuntimeError):  # RuntimeError: a loop of symbolic links
         ok = False
     if not ok:
-        found = f"the path {relative!r}{', a link' * os.path.islink(root / relative)}"  # noqa: PTH114 (takes any text)
+        actual = f"the path {relative!r}{', a link' * os.path.islink(root / relative)}"  # noqa: PTH114 (takes any text)
         expected = "a relative path inside the campaign folder"
         remedy = "move the file into the folder and name it relative to it"
-        raise BadFileError(named_in, found, expected, remedy, row=row, column=column)
+        raise BadFileError(named_in, actual, expected, remedy, row=row, column=column)
     return path
 
 
@@ -237,8 +237,8 @@ def _refuse_entries(folder: Path, names: Sequence[str], *, force: bool) -> None:
 def _must_keep_identity(target: Path, names: Sequence[str]) -> bool:
     if not target.is_dir():
         return False
-    here = Path.cwd().resolve()
-    if target in (here, *here.parents) or target.is_mount() or not os.access(target.parent, os.W_OK):
+    cwd = Path.cwd().resolve()
+    if target in (cwd, *cwd.parents) or target.is_mount() or not os.access(target.parent, os.W_OK):
         return True
     others = 0
     for place, folders, files in os.walk(target):

@@ -65,8 +65,8 @@ def proposed(
     with suppress(CalibError):
         from calib.kinematics.estimate import estimate_geometry
 
-        found = estimate_geometry(campaign, progress=progress)
-        now, driven = Promise.of(found), _as_found(campaign, found)
+        geometry = estimate_geometry(campaign, progress=progress)
+        now, driven = Promise.of(geometry), _as_estimated(campaign, geometry)
         then = promised(with_next(driven, runs), now.scales) if runs else None
         if then and (design := promised(driven, now.scales)):
             then = then.after(now, design)
@@ -74,9 +74,9 @@ def proposed(
     return Plan(campaign, full, tuple(runs))
 
 
-def _as_found(campaign: Campaign, found: Geometry) -> Campaign:
+def _as_estimated(campaign: Campaign, geometry: Geometry) -> Campaign:
     names = {field.name for field in fields(campaign.model)}
-    known: dict[str, Any] = {one.name: one.value for one in found.estimates if one.name in names}
+    known: dict[str, Any] = {one.name: one.value for one in geometry.estimates if one.name in names}
     return replace(campaign, model=replace(campaign.model, **known))
 
 
@@ -209,9 +209,9 @@ def report(
     from calib.reporting.pages import to_pdf
     from calib.reporting.source import issue_date
 
-    given = source if isinstance(source, Fit) else opened(source)
+    subject = source if isinstance(source, Fit) else opened(source)
     seed = 0 if diagnosis else None
-    reported = report_of(given, issued=issue_date(date), accept=accept_implausible, seed=seed)
+    reported = report_of(subject, issued=issue_date(date), accept=accept_implausible, seed=seed)
     return write_bytes(place_of(reported.name, Path(target), force=force), to_pdf(reported), force=force)
 
 
@@ -265,8 +265,8 @@ def export(
             raise BadInputError("export: found a geometry alone; expected its campaign too; give campaign=...")
         master = build.from_geometry(source, opened(campaign), outside=outside, accept=accept_implausible)
     else:
-        given = source if isinstance(source, Fit) else opened(source)
-        master = build.coefficients_from(given, accept_implausible, outside=outside).file
+        subject = source if isinstance(source, Fit) else opened(source)
+        master = build.coefficients_from(subject, accept_implausible, outside=outside).file
     artifacts = build.export(master, to, options=options)
     if target is not None:
         place(artifacts, Path(target), force=force)

@@ -136,9 +136,9 @@ def opened(campaign: CampaignLike) -> Campaign:
     return campaign if isinstance(campaign, Campaign) else read(campaign)
 
 
-def refuse_below(least: int, **given: int) -> None:
+def refuse_below(least: int, **numbers: int) -> None:
     """Raise BadInputError for an argument below `least`."""
-    for name, value in given.items():
+    for name, value in numbers.items():
         if value < least:
             raise BadInputError(f"{name}: found {value}; expected a whole number from {least} on; give one")
 
@@ -223,8 +223,8 @@ def ingest(
     from calib.campaign.ingest.build import ingest as ingested
 
     named = None if mapping is None else Path(mapping)
-    made = ingested(_paths(sources), Path(into), mapping=named, force=force)
-    return replace(read_campaign(made.folder), notes=made.notes)
+    result = ingested(_paths(sources), Path(into), mapping=named, force=force)
+    return replace(read_campaign(result.folder), notes=result.notes)
 
 
 def _paths(sources: Sequence[Path | str] | Path | str) -> list[Path]:

@@ -138,9 +138,9 @@ def _columns(campaign: Campaign) -> Iterator[Note]:
     for name, (usual, hint) in _COLUMNS.items():
         values = campaign.runs.number(name)
         if len(outside := values[(values < usual.low) | (values > usual.high)]):
-            found = f"found {np.median(outside):.4g} {split_suffix(name)[1]} in {len(outside)} run(s)"
+            fault = f"found {np.median(outside):.4g} {split_suffix(name)[1]} in {len(outside)} run(s)"
             most = f"above {usual.low:.0f}" if usual.high == math.inf else f"{usual.low:g} to {usual.high:g}"
-            yield implausible_column(name, f"{found}; expected {most}; {hint}")
+            yield implausible_column(name, f"{fault}; expected {most}; {hint}")
     amplitude, wavelength = campaign.runs.number("amplitude_m"), campaign.runs.number("wavelength_m")
     if (steep := np.abs(amplitude) > 0.5 * wavelength).any():
         text = f"""found a weave of {amplitude[steep][0]:g} m on {wavelength[steep][0]:g} m in {int(steep.sum())}
@@ -220,16 +220,16 @@ class CheckReport:
         return not self.wrong
 
 
-def check_campaign(campaign: Campaign, progress: Progress = silent, more: Iterable[Note] = ()) -> CheckReport:
+def check_campaign(campaign: Campaign, progress: Progress = silent, further: Iterable[Note] = ()) -> CheckReport:
     """Run every check; nothing is changed.
 
     `campaign`: read leniently, so that faults of single runs are among its notes; of runs flagged as excluded faults
-    alone are reported; `more`: found elsewhere.
+    alone are reported; `further`: found elsewhere.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
     of_totals, included = _with_counts_of_runs(campaign.included())
     of_reading = (note for note in campaign.notes if note.level != "suspicious" or note.run_id not in excluded)
-    notes = [*more, *of_totals, *of_reading]
+    notes = [*further, *of_totals, *of_reading]
     if not len(included.runs):
         text = f"all {len(excluded)} runs are flagged as excluded, so that nothing is left; clear those that are sound"
         notes.append(checks.column_note("excluded", text, "excluded_all", "wrong"))
@@ -278,11 +278,11 @@ def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str
     checks = [check for name, check in CHECKS.items() if name not in _NOT_OF_RESULTS]
     of_checks = (check(included) for check in (*checks, settings.odd_lengths))
     sentences = []
-    for found in ([note for note in campaign.notes if note.code in _OF_READING], *of_checks):
-        notes = _merged(note for note in found if of_loads or not ("load" in note.code or note.code == "assumed"))
+    for findings in ([note for note in campaign.notes if note.code in _OF_READING], *of_checks):
+        notes = _merged(note for note in findings if of_loads or not ("load" in note.code or note.code == "assumed"))
         sentences += [note.sentence for note in notes[:_MOST_LISTED]]
-        if more := len(notes[_MOST_LISTED:]):
-            sentences.append(f"{more} more of this kind ({notes[0].code}): 'calib check' lists them.")
+        if n_more := len(notes[_MOST_LISTED:]):
+            sentences.append(f"{n_more} more of this kind ({notes[0].code}): 'calib check' lists them.")
     return tuple(dict.fromkeys(sentences))
 
 

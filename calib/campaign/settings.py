@@ -166,13 +166,13 @@ class Recognised:
     unitless: str = ""
 
 
-def spelled(found: str) -> str:
+def spelled(column: str) -> str:
     """Return a column name with underscores for blanks and a bracketed unit as its suffix."""
-    name, (stem, inside) = found.strip(), bracketed(found)
+    name, (stem, inside) = column.strip(), bracketed(column)
     if inside is not None:
         unit = unit_named(inside)
-        said = inside in {"", "-", "1"} or (unit is not None and unit == split_suffix(stem)[1])
-        name = stem if said else f"{stem}_{unit}" if unit else name
+        redundant = inside in {"", "-", "1"} or (unit is not None and unit == split_suffix(stem)[1])
+        name = stem if redundant else f"{stem}_{unit}" if unit else name
     return re.sub(r"[\s\-]+", "_", name.strip())
 
 
@@ -183,21 +183,21 @@ def bracketed(name: str) -> tuple[str, str | None]:
 
 
 @lru_cache(maxsize=1024)
-def recognise(found: str, known: tuple[str, ...], *, further: bool = True) -> Recognised:
+def recognise(column: str, known: tuple[str, ...], *, further: bool = True) -> Recognised:
     """Match a column name against the known ones.
 
-    `found`: as ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit suffixes; `further`: convert an
-    unknown name that ends in a unit (``static_radius_mm``) to its SI name, too. ``name`` is `found` (cleaned of blanks)
+    `column`: as ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit suffixes; `further`: convert an
+    unknown name that ends in a unit (``static_radius_mm``) to its SI name, too. ``name`` is `column` (without blanks)
     where nothing matches.
     """
     # a fleet's tables, and a campaign's logs, repeat the same names
-    if (name := found.strip()) in known:
-        return Recognised(found, name)
+    if (name := column.strip()) in known:
+        return Recognised(column, name)
     clean = spelled(name)
     stem, suffix = split_suffix(clean)
     for wanted in sorted(known, key=lambda one: one != clean):
         if clean.lower() == wanted.lower():
-            return Recognised(found, wanted, said=f"read as {wanted}")
+            return Recognised(column, wanted, said=f"read as {wanted}")
         wanted_stem, _ = split_suffix(wanted)
         if suffix is not None and stem.lower() == wanted_stem.lower():
             factors = convertible(f"{wanted_stem}_{suffix}", wanted)
@@ -206,16 +206,16 @@ def recognise(found: str, known: tuple[str, ...], *, further: bool = True) -> Re
             if factors is not None:
                 factor, offset = factors
                 change = f"times {factor:.10g}" + (f" plus {offset:.6g}" if offset else "")
-                return Recognised(found, wanted, factor, offset, f"read as {wanted} ({change})")
+                return Recognised(column, wanted, factor, offset, f"read as {wanted} ({change})")
     for wanted in known if suffix is None else ():
         wanted_stem, wanted_suffix = split_suffix(wanted)
         if wanted_suffix is not None and clean.lower() == wanted_stem.lower():
-            return Recognised(found, clean, unitless=wanted)
+            return Recognised(column, clean, unitless=wanted)
     if further and suffix in _FURTHER:
         target, factor, offset = SUFFIXES[suffix]
         renamed = f"{stem}_{target}"
-        return Recognised(found, renamed, factor, offset, f"read as {renamed} (times {factor:.10g})")
-    return Recognised(found, clean)
+        return Recognised(column, renamed, factor, offset, f"read as {renamed} (times {factor:.10g})")
+    return Recognised(column, clean)
 
 
 _WORDS: Final = {"l": "left", "r": "right", "temp": "temperature", "dist": "distance"} | dict.fromkeys(

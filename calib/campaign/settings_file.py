@@ -186,8 +186,8 @@ def _refused(
             expected = str(limits["error"])
         case _:
             expected = re.sub("^.* should (be|have) ", "", fault["msg"])
-    found = table.get(key, fault["input"])
-    shown_value = f"{found:g}" if isinstance(found, int | float) and not isinstance(found, bool) else repr(found)[:60]
+    value = table.get(key, fault["input"])
+    shown_value = f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else repr(value)[:60]
     return BadFileError(shown, shown_value, expected, remedy, column=f"{section}.{key}" if section else key)
 
 
@@ -208,8 +208,8 @@ def _check_together(settings: Campaign, shown: str) -> None:
     vehicle, source = settings.vehicle, settings.odometry.source
     drive = {"front": "tricycle", "wheels": "mecanum", "shaft": "ackermann"}.get(source or "", vehicle.drive)
     if vehicle.drive != drive:
-        found, expected = f'"{source}" with [vehicle] drive = "{vehicle.drive}"', f'"{source}" with drive = "{drive}"'
-        raise BadFileError(shown, found, expected, "correct the one that is wrong", column="odometry.from")
+        actual, expected = f'"{source}" with [vehicle] drive = "{vehicle.drive}"', f'"{source}" with drive = "{drive}"'
+        raise BadFileError(shown, actual, expected, "correct the one that is wrong", column="odometry.from")
     if not 0.0 <= vehicle.cog_x_m <= vehicle.wheelbase_m:
         expected = f"a place between rear axle (0) and front wheel ({vehicle.wheelbase_m:g})"
         remedy = "give the centre of mass ahead of the rear axle, in metres"
@@ -220,11 +220,11 @@ def _not_stated(document: Mapping[str, Any]) -> list[str]:
     missing = []
     for section, keys in STATED.items():
         part = document.get(section, {})
-        given = {recognise(key, keys, further=False).name for key in part} if isinstance(part, Mapping) else set()
+        stated = {recognise(key, keys, further=False).name for key in part} if isinstance(part, Mapping) else set()
         of_sides = {"counts_per_rev_left", "counts_per_rev_right"} <= set(part)
         if section == "encoder" and (of_sides or part.get("kind") == "speed"):
-            given.add("counts_per_rev")
-        missing += [f"{section}.{key}" for key in keys if key not in given]
+            stated.add("counts_per_rev")
+        missing += [f"{section}.{key}" for key in keys if key not in stated]
     return missing
 
 
@@ -234,9 +234,9 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
     `remedy`: what to do without a file; by default, how to make a campaign.
     """
     if not path.is_file():
-        found, expected = "a folder" if path.is_dir() else "no such file", "a settings file"
+        actual, expected = "a folder" if path.is_dir() else "no such file", "a settings file"
         remedy = remedy or "give a folder that holds campaign.toml, or make one with 'calib ingest'"
-        raise BadFileError(shown, found, expected, remedy)
+        raise BadFileError(shown, actual, expected, remedy)
     try:
         size, hint = path.stat().st_size, "check that it is a settings file"
         errors.refuse_beyond(size, errors.SETTINGS_BYTES, shown=shown, what="bytes", remedy=hint)
@@ -245,13 +245,13 @@ def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
         errors.refuse_hostile_keys(text, shown)
         document = tomllib.loads(text)
     except OSError as error:
-        found = error.strerror or "an unreadable file"
-        raise BadFileError(shown, found, "a readable file", "check its rights") from error
+        actual = error.strerror or "an unreadable file"
+        raise BadFileError(shown, actual, "a readable file", "check its rights") from error
     except UnicodeError as error:
         raise BadFileError(shown, "text that is not UTF-8", "UTF-8, as TOML asks", "save the file as UTF-8") from error
     except (tomllib.TOMLDecodeError, ValueError, RecursionError) as error:
-        found, expected = f"no valid TOML ({str(error)[:120]})", "key = value lines and [sections]"
-        raise BadFileError(shown, found, expected, "correct the line") from error
+        actual, expected = f"no valid TOML ({str(error)[:120]})", "key = value lines and [sections]"
+        raise BadFileError(shown, actual, expected, "correct the line") from error
     errors.refuse_hostile_document(document, shown)
     return document
 

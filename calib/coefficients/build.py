@@ -65,8 +65,8 @@ def from_fit(
         raise ImplausibleError(fit.name, fit.implausible)
     hashes = fit.provenance.get("inputs", {}) if inputs is None else inputs
     if fit.setup is None or not isinstance(hashes, Mapping):
-        found = f"fit of {fit.name!r}: found no vehicle, encoder and input hashes; expected those of its campaign"
-        raise BadInputError(f"{found}; make it anew with 'calib fit CAMPAIGN --into FOLDER'")
+        fault = f"fit of {fit.name!r}: found no vehicle, encoder and input hashes; expected those of its campaign"
+        raise BadInputError(f"{fault}; make it anew with 'calib fit CAMPAIGN --into FOLDER'")
     try:
         header = Header(fit.name, fit.simulated, outside, created, hashes)
         loads = load_points(fit.radii.load_left_N, fit.radii.load_right_N)
@@ -80,8 +80,8 @@ def from_fit(
         together = together.model_copy(update={"run_covariance": shared})
         file = file.changed(joint_geometry=together, assumed=[*file.assumed, *unweighed])
     except (TypeError, OverflowError) as error:
-        found = f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit"
-        raise BadInputError(f"{found}; make it anew with 'calib fit CAMPAIGN --into FOLDER'") from error
+        fault = f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit"
+        raise BadInputError(f"{fault}; make it anew with 'calib fit CAMPAIGN --into FOLDER'") from error
     if failed := [f"{name} wheel, {check.name}: {check.sentence}" for name, check in fit.failed_checks]:
         file = file.changed(failed_checks=failed)
     return file.accepted(fit.accepted, fit.implausible)
@@ -336,20 +336,20 @@ def coefficients_of(
     return coefficients_from(read_campaign(path), accept, **changes)
 
 
-def coefficients_from(given: Fit | Campaign, accept: str = "", **changes: Any) -> Source:
+def coefficients_from(subject: Fit | Campaign, accept: str = "", **changes: Any) -> Source:
     """Return the coefficients of a fit or of a campaign, which is fitted now; see `coefficients_of`."""
     from calib.radius.fit import fit_campaign
 
-    if isinstance(given, Fit):
-        fit, inputs = given, None
-    elif without_rear_wheels(given):
+    if isinstance(subject, Fit):
+        fit, inputs = subject, None
+    elif without_rear_wheels(subject):
         from calib.kinematics.estimate import estimate_geometry
 
-        geometry = estimate_geometry(given)
+        geometry = estimate_geometry(subject)
         how = "no rear wheel was counted: radii and lengths are those of 'calib geometry'"
-        return Source(from_geometry(geometry, given, accept=accept, **changes), (*geometry.notes, how))
+        return Source(from_geometry(geometry, subject, accept=accept, **changes), (*geometry.notes, how))
     else:
-        fit, inputs = fit_campaign(given), given.hashes
+        fit, inputs = fit_campaign(subject), subject.hashes
     master = from_fit(replace(fit, accepted=accept), inputs=inputs, **changes)
     return Source(master, _doubts(master))
 
@@ -378,20 +378,20 @@ def export(file: CoefficientFile, to: str, options: ExportOptions = formats.USUA
     if to not in formats.FORMATS:
         raise BadInputError(f"to: found {to!r}; expected one of {', '.join(formats.FORMATS)}; choose one of them")
     if to != "ros2" and (options.controllers or options.open_loop or not options.position_feedback):
-        found = f"controllers, position feedback and open loop: found a choice of them for {to!r}"
-        raise BadInputError(f"{found}; expected 'ros2', which alone has them; leave them out")
+        fault = f"controllers, position feedback and open loop: found a choice of them for {to!r}"
+        raise BadInputError(f"{fault}; expected 'ros2', which alone has them; leave them out")
     formats.refuse_loads(options.loads, to)
     if to == "json":
         return (Artifact("coefficients.json", file.to_bytes(), assumed_note(file)),)
     if (options.model is not None or options.left or options.right) and to not in formats.PATCHING:
-        found = f"--into, --left, --right: found them with {to!r}"
-        raise BadInputError(f"{found}; expected mjcf, urdf or sdf; leave them out")
+        fault = f"--into, --left, --right: found them with {to!r}"
+        raise BadInputError(f"{fault}; expected mjcf, urdf or sdf; leave them out")
     together = file.joint_geometry
     if to in formats.AXLE_ONLY and together is not None and together.source != "rear":
         wheels = SOURCE_NAMES[together.source]
-        found = f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has"
-        raise RefusedError(f"{found}; export to ros2 or json")
-    first, *more = resolve_name(f"{formats.__name__}.{formats.FORMATS[to]}")(file, options)
+        fault = f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has"
+        raise RefusedError(f"{fault}; export to ros2 or json")
+    first, *further = resolve_name(f"{formats.__name__}.{formats.FORMATS[to]}")(file, options)
     notes = effects_left_out(file, f"not in {to}") if to in RADII_ONLY else ()
     notes += assumed_note(file) if to in WITH_NOISE else ()
-    return (replace(first, notes=(*first.notes, *notes)), *more)
+    return (replace(first, notes=(*first.notes, *notes)), *further)

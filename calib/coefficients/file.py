@@ -184,23 +184,23 @@ class CoefficientFile(Section):
         from calib.kinematics.readings import PLAUSIBLE_CHANGE, PLAUSIBLE_TRACK_CHANGE, implausible
 
         own, theirs, encoder = self.geometry, campaign.vehicle, campaign.encoder
-        found = []
+        differences = []
         if own.drive != theirs.drive and {own.drive, theirs.drive} != {"differential", "skid"}:
-            found.append(f"drive {own.drive} (not {theirs.drive})")
+            differences.append(f"drive {own.drive} (not {theirs.drive})")
         # a front wheel with counts of its own needs none of the rear wheels
         for name in ("counts_per_rev_left", "counts_per_rev_right") if encoder.counts_per_rev_front is None else ():
             one, other = getattr(self.encoder, name).value, getattr(encoder, name)
             if not math.isclose(one, other):
-                found.append(f"{name} {one:.10g} (not {other:.10g})")
+                differences.append(f"{name} {one:.10g} (not {other:.10g})")
         lengths = [("wheel_radius_m", wheel.radius_ref.value, PLAUSIBLE_CHANGE) for _, wheel in self.wheels]
         # four mecanum wheels turn about their length and width, not about a track
         lengths += [("track_m", own.track_m, PLAUSIBLE_TRACK_CHANGE)] if theirs.drive != "mecanum" else []
         for name, value, most in lengths if self.accepted_implausible is None else ():
             if implausible(name, value / getattr(theirs, name), most, theirs.drive):
-                found.append(f"{name} {value:.4g} (not {getattr(theirs, name):.4g})")
-        if found:
+                differences.append(f"{name} {value:.4g} (not {getattr(theirs, name):.4g})")
+        if differences:
             raise RefusedError(
-                f"coefficients of {self.name}: found {', '.join(dict.fromkeys(found))}; expected the vehicle of "
+                f"coefficients of {self.name}: found {', '.join(dict.fromkeys(differences))}; expected the vehicle of "
                 f"{campaign.name}; give coefficients of this vehicle, or correct campaign.toml"
             )
 
@@ -268,14 +268,14 @@ def load_coefficients(path: Path | str) -> CoefficientFile:
         file = CoefficientFile.model_validate(document)
         computed = checksum(document)
     except ValidationError as error:
-        where, found, expected = first_fault(error)
-        raise _bad(path, found, expected, column=where or None) from error
+        where, actual, expected = first_fault(error)
+        raise _bad(path, actual, expected, column=where or None) from error
     except (ValueError, OverflowError) as error:
         raise _bad(path, str(error), "finite numbers") from error
     if computed != file.checksum:
-        found, expected = f"content of {computed[:19]}", f"{file.checksum[:19]} as written in the file"
+        actual, expected = f"content of {computed[:19]}", f"{file.checksum[:19]} as written in the file"
         remedy = "the file was altered or damaged: export it again"
-        raise BadFileError(path, found, expected, remedy, column="checksum")
+        raise BadFileError(path, actual, expected, remedy, column="checksum")
     # the checksum covers the file as it is written, with or without optional sections
     written = checksum(file.to_dict())
     return file if written == computed else file.model_copy(update={"checksum": written})
@@ -353,5 +353,5 @@ def _no_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, object]:
     return document
 
 
-def _bad(path: Path, found: str, expected: str, *, column: str | None = None) -> BadFileError:
-    return BadFileError(path, column=column, found=found, expected=expected, remedy="export the coefficients again")
+def _bad(path: Path, actual: str, expected: str, *, column: str | None = None) -> BadFileError:
+    return BadFileError(path, column=column, found=actual, expected=expected, remedy="export the coefficients again")

@@ -161,12 +161,12 @@ def first_fault(error: ValidationError) -> tuple[str, str, str]:
     """Return place, found value and expectation of the first fault."""
     first = error.errors(include_url=False)[0]
     value = first.get("input")
-    found = repr(value) if isinstance(value, (str, int, float)) or value is None else f"a {type(value).__name__}"
+    actual = repr(value) if isinstance(value, (str, int, float)) or value is None else f"a {type(value).__name__}"
     expected = re.sub("^(Value error, |.* should (be|have) )", "", first["msg"])
     if first["type"] == "missing":
-        found, expected = "nothing", "a value"
+        actual, expected = "nothing", "a value"
     expected = "no such key" if first["type"] == "extra_forbidden" else expected
-    return ".".join(str(part) for part in first["loc"]), found, expected
+    return ".".join(str(part) for part in first["loc"]), actual, expected
 
 
 def validated(section: type[SectionT], fields: dict[str, object]) -> SectionT:
@@ -177,9 +177,9 @@ def validated(section: type[SectionT], fields: dict[str, object]) -> SectionT:
     try:
         return section.model_validate(fields)
     except ValidationError as error:
-        where, found, expected = first_fault(error)
-        found = f"{where or 'the coefficients'}: found {found}"
-        raise BadInputError(f"{found}; expected {expected}; these make no coefficient file") from error
+        where, actual, expected = first_fault(error)
+        fault = f"{where or 'the coefficients'}: found {actual}"
+        raise BadInputError(f"{fault}; expected {expected}; these make no coefficient file") from error
 
 
 #: how far a covariance may miss being positive semi-definite through rounding, relative

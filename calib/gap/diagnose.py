@@ -86,31 +86,31 @@ def diagnose_in_full(
     situation = sought.situation(campaign) if planted is None else sought.counted(campaign, planted, ())
     if planted is None and (lone := lone_run(situation)):
         situation = replace(sought.situation(without_runs(campaign, lone)), omitted=lone)
-    given, found = without_runs(campaign, situation.omitted), situation.observations
-    own = planted is None and (bool(applied) or not np.isfinite(found.simulated).any())
+    kept, seen = without_runs(campaign, situation.omitted), situation.observations
+    own = planted is None and (bool(applied) or not np.isfinite(seen.simulated).any())
     if own:
-        refuse_copied(situation.campaign, predict(found))
-    judge = partial(_judged, given, (seed, model_name, candidates, journeys), progress)
+        refuse_copied(situation.campaign, predict(seen))
+    judge = partial(_judged, kept, (seed, model_name, candidates, journeys), progress)
     diagnosis = judge(sought, situation)
     doubtful = not diagnosis.recommended and diagnosis.kind is not VerdictKind.NO_GAP
     unknown = diagnosis.kind is VerdictKind.UNKNOWN and bool(OF_A_PATH.intersection(campaign.logs.columns))
-    if own and doubtful and (found.windowed or unknown) and (lone := lone_recordings(situation)):
+    if own and doubtful and (seen.windowed or unknown) and (lone := lone_recordings(situation)):
         others = without_runs(campaign, lone)
         judged = partial(_judged, others, (seed, model_name, candidates, journeys), progress)
         again = judged(sought, replace(sought.situation(others), omitted=lone))
         named = again.kind is not VerdictKind.UNKNOWN if unknown else not diagnosis.causes
         if again.recommended or again.kind is VerdictKind.NO_GAP or named:
-            given, judge, diagnosis = others, judged, again
+            kept, judge, diagnosis = others, judged, again
     unsure = all(cause.probability < EVEN_PROBABILITY for cause in diagnosis.causes)
-    if own and not found.windowed and (unsure or diagnosis.recommended):
+    if own and not seen.windowed and (unsure or diagnosis.recommended):
         along = replace(sought, into_windows=True)
-        windows = replace(along.situation(given), omitted=situation.omitted)
+        windows = replace(along.situation(kept), omitted=situation.omitted)
         nominal = predict(windows.observations)
         if windows.observations.windowed and diagnosis.recommended:
             diagnosis = kept_back(diagnosis, nominal, estimate_noise(nominal, residuals(nominal, nominal)))
         elif windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):
             diagnosis = kept_back(by_windows, diagnosis.arrays.nominal, diagnosis.arrays.noise)
-    diagnosis = beside_geometry(diagnosis, given) if own else diagnosis
+    diagnosis = beside_geometry(diagnosis, kept) if own else diagnosis
     notes = (f"copies of other runs, which count once: {listed(copied)}",) * bool(copied) + diagnosis.notes
     diagnosis = replace(diagnosis, sentence=f"{diagnosis.sentence}{unloaded}", notes=notes)
     if not plan or not diagnosis.groups or (evidence := diagnosis.evidence) is None:
@@ -124,14 +124,14 @@ def diagnose_in_full(
 
 
 def _judged(
-    given: Campaign,
+    recorded: Campaign,
     asked: tuple[int, str, Sequence[Effect] | None, Campaign | None],
     progress: Progress,
     sought: Sought,
     situation: Situation,
 ) -> Diagnosis:
     seed, model_name, candidates, journeys = asked
-    rng, declared = np.random.default_rng(seed), given.extra.get("effects", ())
+    rng, declared = np.random.default_rng(seed), recorded.extra.get("effects", ())
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not sought.applied else None
     nominal = predict(observations)
@@ -142,8 +142,8 @@ def _judged(
     offered, every = {effect.id for effect in effects}, effects
     effects, noise, base, searched = _searched(nominal, effects, progress)
     for number in range(MOUNTINGS if candidates is None else 0):
-        if mounted := sought.mounted(given, situation, searched, every, refine=number == 0):
-            situation = sought.remounted(given, situation, mounted)
+        if mounted := sought.mounted(recorded, situation, searched, every, refine=number == 0):
+            situation = sought.remounted(recorded, situation, mounted)
             known = {fault.effect.id for fault in mounted} - {ReferenceYaw.id}
             effects, nominal = [effect for effect in every if effect.id not in known], predict(situation.observations)
             offered -= known
@@ -178,14 +178,14 @@ def _judged(
     recalibrated = WhitenedSystem(base.path, nominal, noise, known=searched.alone)
     diagnosis = replace(with_left(decide(evidence)), undetectable=undetectable(recalibrated, effects, searched.forms))
     struck = ", ".join(sorted(offered - evidence.effects.keys()))
-    said = f"{struck}: not confirmed on routes held out, and not among the causes"
-    return replace(diagnosis, notes=(*diagnosis.notes, said)) if struck else diagnosis
+    note = f"{struck}: not confirmed on routes held out, and not among the causes"
+    return replace(diagnosis, notes=(*diagnosis.notes, note)) if struck else diagnosis
 
 
 def _holds(nominal: Path, noise: Noise, searched: SearchResult) -> bool:
     best, gap = searched.fitted, residuals(nominal, nominal)
-    tried = trials(HeldOutFit(best, nominal, noise, searched.weighting), gap)
-    routes = [trial for trial in tried if trial.left_out == "kind"]
+    transfer = trials(HeldOutFit(best, nominal, noise, searched.weighting), gap)
+    routes = [trial for trial in transfer if trial.left_out == "kind"]
     gained = sum(trial.before_square - trial.after_square for trial in routes)
     return gained > 0.0 and not any(map(fails, routes))
 
@@ -210,7 +210,7 @@ def diagnosed(
         from calib.gap.plan.next_runs import read_plan
 
         planned = read_plan(FilePath(journeys))
-    found = diagnose_in_full(
+    diagnosis = diagnose_in_full(
         mounted,
         seed=seed,
         exclude=tuple(exclude),
@@ -220,10 +220,10 @@ def diagnosed(
         journeys=planned,
         progress=progress,
     )
-    beyond = () if model is None else beyond_law(model, found.observations)
-    found = replace(found, notes=(*found.notes, *beyond))
+    beyond = () if model is None else beyond_law(model, diagnosis.observations)
+    diagnosis = replace(diagnosis, notes=(*diagnosis.notes, *beyond))
     kept = [effect for effect in effects if effect.effect != ReferenceLeverArm.id]
-    return found, tuple(effect for effect in kept if not effect.form.endswith(ELSEWHERE))
+    return diagnosis, tuple(effect for effect in kept if not effect.form.endswith(ELSEWHERE))
 
 
 def _searched(

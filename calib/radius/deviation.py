@@ -41,8 +41,8 @@ def weave_excess(
     """
     from scipy.special import ellipeinc
 
-    given = map(floats, (amplitude_m, wavelength_m, distance_m, phase_rad))
-    amplitude, wavelength, distance, phase = np.broadcast_arrays(*given)
+    arrays = map(floats, (amplitude_m, wavelength_m, distance_m, phase_rad))
+    amplitude, wavelength, distance, phase = np.broadcast_arrays(*arrays)
     k = 2 * np.pi / wavelength
     slope = k * amplitude
     u = slope**2
@@ -113,8 +113,8 @@ def deviation_rows(
     `tolerance`: relative, of a radius; see `weave_excess`. Raises BadInputError where a length is not positive.
     """
     lengths = {"amplitude": amplitudes_m, "wavelength": wavelengths_m, "distance": distance_m, "track": track_m}
-    for name, given in lengths.items():
-        values = np.atleast_1d(floats(given))
+    for name, length_m in lengths.items():
+        values = np.atleast_1d(floats(length_m))
         expected = "zero or more" if name == "amplitude" else "more than zero"
         bad = ~np.isfinite(values) | (values < 0) | ((values == 0) & (name != "amplitude"))
         if bad.any():

@@ -301,10 +301,10 @@ def _source(section: str, key: str, entry: Any, where: Path | str) -> Systematic
         size, divisor = values.pop("half_width", None), _DIVISORS.get(distribution, math.nan)
     numbers = all(isinstance(number, int | float) and number > 0 for number in (size, dof))
     if values or not numbers or math.isinf(size) or distribution not in _DIVISORS or kind not in {"A", "B"}:
-        found = ", ".join(f"{name} = {value!r}" for name, value in entry.items()) or "nothing"
+        actual = ", ".join(f"{name} = {value!r}" for name, value in entry.items()) or "nothing"
         expected = f"std or half_width above 0, distribution ({', '.join(_DIVISORS)}), type A or B, and dof"
         remedy = 'write {std = 1e-4} or {half_width = 1e-4, distribution = "rectangular"}'
-        raise BadFileError(where, column=column, found=found, expected=expected, remedy=remedy)
+        raise BadFileError(where, column=column, found=actual, expected=expected, remedy=remedy)
     return SystematicSource(section, key, float(size) / divisor, distribution, kind, float(dof))
 
 

@@ -102,13 +102,13 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, n
     sources = effective.declared_sources(campaign)
     used = campaign.select(np.isin(campaign.runs.run_id, radii.run_id)).runs
     nominal = None if "vehicle.wheel_radius_m" in campaign.assumed else campaign.vehicle.wheel_radius_m
-    given = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
+    weighed = any(np.isfinite(campaign.runs.number(f"load_{side}_N")).any() for side in ("left", "right"))
     wheels, doubtful = {}, [Check("data", FAILED, sentence) for sentence in doubts(campaign)]
     for name, line in fit.wheels.items():
-        wheel = effective.with_systematic(line if given else without_loads(line), radii, sources)
+        wheel = effective.with_systematic(line if weighed else without_loads(line), radii, sources)
         wheel = replace(wheel, checks=(*_implausible(wheel, findings, nominal, radii.run_id), *doubtful, *wheel.checks))
         wheel = with_temperature_check(wheel, used.number("temperature_C"), used.label("session"))
-        if given and not any(source.section == "weighing" for source in sources):
+        if weighed and not any(source.section == "weighing" for source in sources):
             wheel = _with_weighing_check(wheel)
         if not any(source.section == "path" for source in sources) and np.isnan(used.number("ref_theta_rad")).all():
             # a bow h turns the vehicle by 8 h / S: each wheel's path changes by half the track times that
@@ -118,7 +118,7 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, n
     static, notes = _static(campaign, reference)
     stated = (campaign.vehicle, campaign.encoder, campaign.model, campaign.rangefinder, campaign.reference)
     driven = {name: column for name in CONDITIONS if np.isfinite(column := used.number(name)).any()}
-    unweighed = {} if given else dict.fromkeys(WHEEL_LOADS, f"{fit.left.law.reference_load_N:.4g} N")
+    unweighed = {} if weighed else dict.fromkeys(WHEEL_LOADS, f"{fit.left.law.reference_load_N:.4g} N")
     conditions = {name: (float(np.nanmin(column)), float(np.nanmax(column))) for name, column in driven.items()}
     return replace(
         fit,
@@ -341,7 +341,7 @@ def _better_reading(radii: EffectiveRadii) -> str:
     }
     unlike = np.abs(loads[:, 0] - loads[:, 1]) > SAME_LOAD
     stated = _squares(loads[None], radius[None], days, np.zeros(n))[0]
-    found = []
+    better = []
     for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
         other = np.where(np.abs(other - loads) < SAME_LOAD, loads, other)
         options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
@@ -355,11 +355,11 @@ def _better_reading(radii: EffectiveRadii) -> str:
             # the same pairs of load and radius, for the other wheel
             whole = name.endswith(" of left and right exchanged") and (chosen[unlike] > 0).all()
             of_kind.append((fewer, log_p, square, f"with {EXCHANGED}" if whole else words))
-        found += [min(of_kind)[1:]] if min(of_kind)[1] < np.log(FAIL_BELOW) else []
-    if not found:
+        better += [min(of_kind)[1:]] if min(of_kind)[1] < np.log(FAIL_BELOW) else []
+    if not better:
         return ""
-    best, square, _ = min(found)
-    likely = ", or ".join({words: 0 for log_p, _, words in sorted(found) if log_p + np.log(FAIL_BELOW) < best})
+    best, square, _ = min(better)
+    likely = ", or ".join({words: 0 for log_p, _, words in sorted(better) if log_p + np.log(FAIL_BELOW) < best})
     scatter = UM * np.sqrt(square / (2 * dof))
     return f"read {likely}, they scatter by {scatter:.3g} um: correct the table by the notes of the day"
 

@@ -274,8 +274,8 @@ def fit_wheel(
     """
     load, radius = floats(load_N), floats(radius_m)
     if len(load) < 3:
-        found = f"{wheel} wheel: found {len(load)} usable runs; expected three or more"
-        raise RefusedError(f"{found}; drive more corridor runs, or see 'calib check' for why runs were omitted")
+        fault = f"{wheel} wheel: found {len(load)} usable runs; expected three or more"
+        raise RefusedError(f"{fault}; drive more corridor runs, or see 'calib check' for why runs were omitted")
     groups = groups_of(session)
     grouped = 2 <= len(groups) < len(load)
     if distinct_loads(load) == 1:

@@ -237,11 +237,11 @@ def read_result(path: Path) -> Fit:
     try:
         value = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
-        found = str(error.strerror) if isinstance(error, OSError) else f"no JSON ({error})"
-        raise BadFileError(file, found, "a fit", REMEDY) from error
+        actual = str(error.strerror) if isinstance(error, OSError) else f"no JSON ({error})"
+        raise BadFileError(file, actual, "a fit", REMEDY) from error
     if not isinstance(value, dict) or value.get("format") != FORMAT:
-        found = f"the format {value.get('format')!r}" if isinstance(value, dict) else f"a JSON {type(value).__name__}"
-        raise BadFileError(file, found=found, expected="a fit", remedy=REMEDY)
+        actual = f"the format {value.get('format')!r}" if isinstance(value, dict) else f"a JSON {type(value).__name__}"
+        raise BadFileError(file, found=actual, expected="a fit", remedy=REMEDY)
     _check_seal(file, value)
     try:
         return Fit.from_dict(value)

@@ -200,14 +200,14 @@ def picture(name: str, alt: str, figure: str, *values: Any, **options: Any) -> P
 
 def drawn(figure: str, *values: Any, **options: Any) -> "Figure":
     """Return a figure of `calib.reporting.figures` by ``module.function``."""
-    made: Figure = named("figures", figure)(*values, **options)
-    return made
+    picture: Figure = named("figures", figure)(*values, **options)
+    return picture
 
 
 def named(folder: str, name: str) -> Callable[..., Any]:
     """Return ``module.function`` of a folder of `calib.reporting`; its module is imported now."""
-    found: Callable[..., Any] = resolve_name(f"calib.reporting.{folder}.{name}")
-    return found
+    function: Callable[..., Any] = resolve_name(f"calib.reporting.{folder}.{name}")
+    return function
 
 
 def simulated_notice() -> Notice:

@@ -103,7 +103,7 @@ class Report:
 
 
 def report_of(
-    given: Fit | Campaign,
+    subject: Fit | Campaign,
     *,
     issued: str,
     accept: str = "",
@@ -116,22 +116,22 @@ def report_of(
     `issued`, `accept`, `where`: see `source_of`; `seed`: of the diagnosis of the gap, which is added; None: none is.
     Raises BadInputError where a fit is to be diagnosed; RefusedError where the runs allow neither a law nor a geometry.
     """
-    if not isinstance(given, Campaign):
+    if not isinstance(subject, Campaign):
         if seed is not None:
             raise BadInputError(
                 f"{where or 'report'}: found the result of a fit; expected a campaign folder, which a diagnosis "
                 "needs; give the campaign"
             )
-        return compose(source_of(given, issued=issued, accept=accept, where=where))
+        return compose(source_of(subject, issued=issued, accept=accept, where=where))
     try:
-        source = source_of(given, issued=issued, accept=accept)
+        source = source_of(subject, issued=issued, accept=accept)
     except RefusedError as error:
-        return _without_law(given, error, issued, accept, seed, progress)
+        return _without_law(subject, error, issued, accept, seed, progress)
     if seed is None:
         return compose(source)
     from calib.gap.diagnose import diagnose_in_full
 
-    return compose(replace(source, verdict=diagnose_in_full(given, seed=seed, progress=progress)))
+    return compose(replace(source, verdict=diagnose_in_full(subject, seed=seed, progress=progress)))
 
 
 def _without_law(
@@ -222,10 +222,10 @@ def report_without_law(
         "The radius law is that of the geometry; 'calib fit' finds none" if lawful else "These runs give no radius law"
     )
     reason = Notice("note", known, capital(prose(why.rstrip("."))) + ".")
-    found = [] if diagnosis is None else [page_one_notice(diagnosis)]
-    result = [Section("Result", (*found, reason))]
+    notices = [] if diagnosis is None else [page_one_notice(diagnosis)]
+    result = [Section("Result", (*notices, reason))]
     if geometry is not None:
-        result = geometry_sections(geometry, found, withheld=coefficients is None)
+        result = geometry_sections(geometry, notices, withheld=coefficients is None)
     sections = (
         *result,
         *([] if diagnosis is None else [gap_section(diagnosis)]),

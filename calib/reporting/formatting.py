@@ -216,7 +216,7 @@ def _lines(block: Block, width: int) -> list[Line]:
         case Facts():
             return _facts(block.rows, width)
         case Items():
-            return [line for item in block.sentences for line in _wrapped(item, width, lead="- ", rest="  ")]
+            return [line for item in block.sentences for line in _wrapped(item, width, lead="- ", indent="  ")]
         case Equation():
             return [Line(f"    {EQUATIONS[block.name]}")]
         case Notice():
@@ -228,8 +228,8 @@ def _lines(block: Block, width: int) -> list[Line]:
     return []
 
 
-def _wrapped(text: str, width: int, *, lead: str = "", rest: str = "", style: str = "") -> list[Line]:
-    wrap = textwrap.TextWrapper(width, lead, rest, break_long_words=False, break_on_hyphens=False)
+def _wrapped(text: str, width: int, *, lead: str = "", indent: str = "", style: str = "") -> list[Line]:
+    wrap = textwrap.TextWrapper(width, lead, indent, break_long_words=False, break_on_hyphens=False)
     return [Line(line, style) for line in wrap.wrap(plain(text))]
 
 
@@ -238,7 +238,7 @@ def _facts(rows: Sequence[tuple[str, str]], width: int) -> list[Line]:
     lines: list[Line] = []
     for name, value in rows:
         lead = f"  {plain(name):<{room}}  "
-        lines += _wrapped(value or " ", width, lead=lead, rest=" " * (room + 4)) or [Line(lead)]
+        lines += _wrapped(value or " ", width, lead=lead, indent=" " * (room + 4)) or [Line(lead)]
     return lines
 
 
@@ -319,9 +319,9 @@ def _widths(part: Sequence[_Fitted], width: int) -> list[int]:
     free = width - sum(column.least for column in part) - GAP * (len(part) - 1)
     widths = []
     for column in part:
-        more = max(0, min(column.width - column.least, free))
-        free -= more
-        widths.append(column.least + more)
+        growth = max(0, min(column.width - column.least, free))
+        free -= growth
+        widths.append(column.least + growth)
     return widths
 
 

@@ -226,8 +226,8 @@ def _cause_panel(verdict: Diagnosis) -> figure:
 
 def _with_aliases(effect: str, verdict: Diagnosis) -> str:
     others = [name for group in verdict.groups if effect in group for name in group if name != effect]
-    more = [f"and {len(others) - ALIASES_NAMED} more"] if len(others) > ALIASES_NAMED else []
-    return "\n".join([effect, *(f"or {other}" for other in others[:ALIASES_NAMED]), *more])
+    remainder = [f"and {len(others) - ALIASES_NAMED} more"] if len(others) > ALIASES_NAMED else []
+    return "\n".join([effect, *(f"or {other}" for other in others[:ALIASES_NAMED]), *remainder])
 
 
 def _legend(gap: GapArrays) -> Model:
@@ -237,8 +237,8 @@ def _legend(gap: GapArrays) -> Model:
         f"{escape(name) or '(none)'}</span>"
         for number, name in enumerate(names[:LEGEND_NAMES])
     ]
-    more = [f"and {len(names) - LEGEND_NAMES} more"] if len(names) > LEGEND_NAMES else []
-    return models.Div(name="legend", text=f"kind: {' &emsp; '.join(marks + more)}", sizing_mode="stretch_width")
+    remainder = [f"and {len(names) - LEGEND_NAMES} more"] if len(names) > LEGEND_NAMES else []
+    return models.Div(name="legend", text=f"kind: {' &emsp; '.join(marks + remainder)}", sizing_mode="stretch_width")
 
 
 def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> Model:

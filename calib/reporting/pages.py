@@ -110,7 +110,7 @@ def to_html(report: Report, panels: str = "") -> str:
     sections = report.sections
     if panels:
         kept = [[each for each in part.blocks if getattr(each, "name", "") not in GAP_PICTURES] for part in sections]
-        sections = tuple(replace(part, blocks=tuple(rest)) for part, rest in zip(sections, kept, strict=True))
+        sections = tuple(replace(part, blocks=tuple(blocks)) for part, blocks in zip(sections, kept, strict=True))
     page = {name: getattr(report, name) for name in ("title", "name", "simulated", "head")}
     page["kind"] = f"Calibration report {report.report_id}"
     page["footer"] = f"Issued {report.issued}; report {report.report_id}"
@@ -219,5 +219,5 @@ def _table(vehicles: Sequence[Mapping[str, Any]]) -> str:
     for vehicle in vehicles:
         values = ((name, vehicle.get(name)) for name in columns)
         cells = ((value or ("", "")) if "_ci95_" in name else (value,) for name, value in values)
-        rows.append([cell for some in cells for cell in some])
+        rows.append([cell for group in cells for cell in group])
     return csv_text(heads, rows)

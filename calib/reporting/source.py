@@ -97,7 +97,7 @@ def opened(path: Path, *, progress: Progress = silent) -> "Fit | Campaign":
     return read_result(path) if is_result(path) else read_campaign(path, progress=progress)
 
 
-def source_of(given: "Fit | Campaign", *, issued: str, accept: str = "", where: Path | None = None) -> Source:
+def source_of(subject: "Fit | Campaign", *, issued: str, accept: str = "", where: Path | None = None) -> Source:
     """Return what a report on a fit, or on a campaign fitted now, is made from, without diagnosis.
 
     `issued`: date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same;
@@ -107,12 +107,12 @@ def source_of(given: "Fit | Campaign", *, issued: str, accept: str = "", where: 
     from calib.radius.fit import fit_campaign
     from calib.radius.result import provenance
 
-    if isinstance(given, Campaign):
-        fit, where, inputs = fit_campaign(given), given.root, given.hashes
-        fit = replace(fit, provenance=provenance(given, {}))
-        stated, logo = stated_of(given), logo_of(given)
+    if isinstance(subject, Campaign):
+        fit, where, inputs = fit_campaign(subject), subject.root, subject.hashes
+        fit = replace(fit, provenance=provenance(subject, {}))
+        stated, logo = stated_of(subject), logo_of(subject)
     else:
-        fit, inputs, logo = given, None, None
+        fit, inputs, logo = subject, None, None
         if fit.setup is None:
             raise RefusedError(
                 f"{where or 'fit'}: found a fit without its setup; expected vehicle, instruments and conditions; make "
@@ -195,8 +195,8 @@ def texts_of(section: Any, where: Path | str) -> dict[str, str]:
     for key, value in section.items():
         texts = value if isinstance(value, (list, tuple)) else [value]
         if key not in STATED or not all(isinstance(text, str | int | float | date | time) for text in texts):
-            found = "an unknown key" if key not in STATED else f"a {type(value).__name__}"
-            raise BadFileError(where, column=f"report.{key}", found=found, expected="text", remedy=remedy)
+            actual = "an unknown key" if key not in STATED else f"a {type(value).__name__}"
+            raise BadFileError(where, column=f"report.{key}", found=actual, expected="text", remedy=remedy)
         joined = "; ".join(str(text).strip() for text in texts if str(text).strip())
         if joined:
             stated[str(key)] = joined

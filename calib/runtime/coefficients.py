@@ -179,13 +179,13 @@ class Coefficients:
 
 def _numbers(kind: type, **sections: tuple[str, dict[str, Any]]) -> dict[str, Any]:
     # what a class stores, by field; sections: by name in `_stored`, where each stands and what it holds
-    found = {}
+    values = {}
     for field, hint in get_type_hints(kind, include_extras=True).items():
         for place, unit, limits in getattr(hint, "__metadata__", ()):
             name, _, key = place.partition(".")
             at, section = sections[name]
-            found[field] = _number(section, key, unit, at, **limits)
-    return found
+            values[field] = _number(section, key, unit, at, **limits)
+    return values
 
 
 def _wheel(document: dict[str, Any], side: str) -> WheelCoefficients:
@@ -194,10 +194,10 @@ def _wheel(document: dict[str, Any], side: str) -> WheelCoefficients:
     valid = _part(wheel, "valid_load")
     numbers = _numbers(WheelCoefficients, wheel=(at, wheel), valid=(f"{at}.valid_load", valid))
     per_rev = _number(_part(document, "encoder"), f"counts_per_rev_{side}", "count/rev", "encoder", above=0.0)
-    made = WheelCoefficients(counts_per_rev=per_rev, **numbers)
-    if made.load_min_N > made.load_max_N:
+    coefficients = WheelCoefficients(counts_per_rev=per_rev, **numbers)
+    if coefficients.load_min_N > coefficients.load_max_N:
         raise CoefficientError(f"{at}.valid_load: min stands above max")
-    return made
+    return coefficients
 
 
 def _cross_covariance(document: dict[str, Any]) -> tuple[tuple[int, int, float], ...]:
@@ -208,7 +208,7 @@ def _cross_covariance(document: dict[str, Any]) -> tuple[tuple[int, int, float],
     if together.get("source") != "rear":
         raise CoefficientError("joint_geometry: odometry from other wheels; this one reads two wheels on one axle")
     names = list(JOINT)
-    found = []
+    entries = []
     for index, entry in enumerate(_parts(together, "covariance")):
         pair = (entry.get("first"), entry.get("second"))
         if not set(pair) <= set(names):
@@ -218,22 +218,22 @@ def _cross_covariance(document: dict[str, Any]) -> tuple[tuple[int, int, float],
             continue
         one, other = (JOINT[str(name)] for name in pair)
         unit = f"({one})^2" if one == other else f"({one})({other})"
-        found.append((first, second, _number(entry, "covariance", unit, f"joint_geometry.covariance.{index}")))
-    return tuple(found)
+        entries.append((first, second, _number(entry, "covariance", unit, f"joint_geometry.covariance.{index}")))
+    return tuple(entries)
 
 
 def _part(document: dict[str, Any], key: str) -> dict[str, Any]:
-    found = document.get(key)
-    if not isinstance(found, dict):
+    section = document.get(key)
+    if not isinstance(section, dict):
         raise CoefficientError(f"{key}: missing")
-    return found
+    return section
 
 
 def _parts(document: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    found = document.get(key, [])
-    if not isinstance(found, list) or not all(isinstance(item, dict) for item in found):
+    sections = document.get(key, [])
+    if not isinstance(sections, list) or not all(isinstance(item, dict) for item in sections):
         raise CoefficientError(f"{key}: no list of sections")
-    return found
+    return sections
 
 
 def _bits(encoder: dict[str, Any]) -> int:
@@ -246,10 +246,10 @@ def _bits(encoder: dict[str, Any]) -> int:
 def _number(
     section: dict[str, Any], key: str, unit: str, at: str, *, low: float = -math.inf, above: float = -math.inf
 ) -> float:
-    found = section.get(key)
-    if not isinstance(found, dict) or found.get("unit") != unit:
+    quantity = section.get(key)
+    if not isinstance(quantity, dict) or quantity.get("unit") != unit:
         raise CoefficientError(f"{at}.{key}: missing, or its unit is not {unit}")
-    value = found.get("value")
+    value = quantity.get("value")
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
         raise CoefficientError(f"{at}.{key}: its value is no finite number")
     if value < low or value <= above:

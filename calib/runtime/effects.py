@@ -222,8 +222,8 @@ def _direction(effect: _Effect, step: _Step, change: _Change) -> None:
 
 
 def _drag(effect: _Effect, step: _Step, change: _Change) -> None:
-    there = step.nominal.way_m >= 0.0 if "rolling" in effect.form else step.run.direction != "back"
-    _one(change, effect.form, effect.size("relative") if there != ("back" in effect.form) else 0.0)
+    outward = step.nominal.way_m >= 0.0 if "rolling" in effect.form else step.run.direction != "back"
+    _one(change, effect.form, effect.size("relative") if outward != ("back" in effect.form) else 0.0)
 
 
 def _lost(effect: _Effect, step: _Step, change: _Change) -> None:

@@ -109,8 +109,8 @@ class Odometer:
         scatters = coefficients.left.residual_std_m > 0.0
         band = band or ("prediction" if scatters else "mean")
         if band not in ("mean", "prediction")[: 1 + scatters]:
-            more = "'prediction'" if scatters else "a file with the scatter of single runs"
-            raise CoefficientError(f"band: found {band!r}; expected 'mean' or {more}")
+            alternative = "'prediction'" if scatters else "a file with the scatter of single runs"
+            raise CoefficientError(f"band: found {band!r}; expected 'mean' or {alternative}")
         self.coefficients = coefficients
         self._band = band
         self._max_step_m = coefficients.max_step_m if max_step_m is None else max_step_m
@@ -353,11 +353,11 @@ class Odometer:
             entries += [(one, other, value), (other, one, value)]
         return entries
 
-    def _finite(self, *given: float) -> tuple[float, ...]:
+    def _finite(self, *values: float) -> tuple[float, ...]:
         self._radii, self._clamped = None, False
         try:
             # refuses texts, which float() reads
-            finite, numbers = all(map(math.isfinite, given)), tuple(map(float, given))
+            finite, numbers = all(map(math.isfinite, values)), tuple(map(float, values))
         except (TypeError, ValueError, OverflowError):
             raise self._refuse_load(Status.BAD_ARGUMENT) from None
         if not finite:

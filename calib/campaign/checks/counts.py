@@ -109,16 +109,16 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
         table = campaign.runs.number(f"counts_{side}")
         allowed = np.maximum(5.0, 5e-5 * np.abs(table))
         for run in np.flatnonzero(np.abs(table - logged[side]) > allowed):
-            found, log = float(table[run]), float(logged[side][run])
-            if abs(found - logged[other][run]) <= allowed[run]:
+            count, log = float(table[run]), float(logged[side][run])
+            if abs(count - logged[other][run]) <= allowed[run]:
                 hint = f"the table agrees with the log's {other} wheel, so that the wheels look swapped in one of them"
                 code = "swapped_wheels"
-            elif abs(found + log) <= allowed[run]:
+            elif abs(count + log) <= allowed[run]:
                 hint, code = "the sign differs", "reversed_wheels"
             else:
-                hint = checks.meaning(abs(log / found)) if found else ""
+                hint = checks.meaning(abs(log / count)) if count else ""
                 hint, code = hint or "the log may be cut, or belong to another run", "counts_disagree"
-            text = f"found {found:.0f} in the table but {log:.0f} in the log; {hint}"
+            text = f"found {count:.0f} in the table but {log:.0f} in the log; {hint}"
             yield checks.cell_note(campaign, run, f"counts_{side}", text, code)
 
 

@@ -276,13 +276,13 @@ def _off_the_line(campaign: Campaign, total: FloatArray) -> Iterator[Note]:
 
 def reference_load(campaign: Campaign) -> Iterator[Note]:
     """Find a reference load that is none of those driven or usual."""
-    loads, found = checks.both_sides(campaign, "load_{}_N"), campaign.model.reference_load_N
+    loads, load_N = checks.both_sides(campaign, "load_{}_N"), campaign.model.reference_load_N
     loads = loads[np.isfinite(loads)]
     if not checks.stated(campaign, "model.reference_load_N") or not len(loads):
         return
     usual = np.array([campaign.vehicle.unladen_load_N, loads.mean(), *np.unique(loads)])
-    if np.abs(usual - found).min() > _SAME_LOAD * found:
-        text = f"""found {found:g} N; expected the load of the empty vehicle ({usual[0]:.4g} N), one that was driven
+    if np.abs(usual - load_N).min() > _SAME_LOAD * load_N:
+        text = f"""found {load_N:g} N; expected the load of the empty vehicle ({usual[0]:.4g} N), one that was driven
             ({loads.min():.4g} to {loads.max():.4g} N) or their mean, since radii are stated at it; check the
             value"""
         yield checks.setting_note("model.reference_load_N", text, "reference_load", "info")
@@ -338,12 +338,12 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
 
 def _of_the_empty_vehicle(campaign: Campaign, total: FloatArray, good: BoolArray) -> Iterator[Note]:
     vehicle, empty = campaign.vehicle, good & (campaign.runs.number("payload_kg") == 0)
-    found = float(np.median(total[empty]) if empty.any() else total[good].min())
-    share = found / (vehicle.mass_kg * GRAVITY_MPS2)
+    weight_N = float(np.median(total[empty]) if empty.any() else total[good].min())
+    share = weight_N / (vehicle.mass_kg * GRAVITY_MPS2)
     ratio, least, what = share, _REAR_SHARE[0], "the weight of the empty vehicle"
     known = all(checks.stated(campaign, f"vehicle.{key}") for key in ("cog_x_m", "wheelbase_m"))
     if known and vehicle.unladen_load_N > 0:
-        ratio, least, what = found / (2.0 * vehicle.unladen_load_N), _LIGHTEST, "that of the empty vehicle"
+        ratio, least, what = weight_N / (2.0 * vehicle.unladen_load_N), _LIGHTEST, "that of the empty vehicle"
     if ratio < least or (empty.any() and ratio > 1.0 / _LIGHTEST):
         yield _in_another_unit(_LOADS, ratio, what, _unit_of_shares(np.array([share])))
 
@@ -380,9 +380,9 @@ def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) ->
 
 
 def _swapped_loads(weighed: FloatArray, computed: FloatArray) -> Iterator[Note]:
-    found, expected = weighed[0] - weighed[1], computed[0] - computed[1]
-    good = np.isfinite(found) & (np.abs(expected) > 0.1 * np.abs(computed.sum(axis=0)))
-    opposite = found[good] / expected[good] < -0.5
+    difference_N, expected = weighed[0] - weighed[1], computed[0] - computed[1]
+    good = np.isfinite(difference_N) & (np.abs(expected) > 0.1 * np.abs(computed.sum(axis=0)))
+    opposite = difference_N[good] / expected[good] < -0.5
     if good.sum() >= LEAST_RUNS and opposite.mean() > checks.MOST_OF_THE_RUNS:
         text = f"""in {int(opposite.sum())} of {int(good.sum())} runs with the payload on one side the other wheel
             carries more; expected the wheel beside it to; are the loads swapped, or is payload_y_m positive to the

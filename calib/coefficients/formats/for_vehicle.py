@@ -243,8 +243,8 @@ def controllers_of(file: CoefficientFile, options: ExportOptions) -> tuple[Artif
     steered = together is not None and together.source == "front"
     controllers = options.controllers or (OF_FRONT if steered else OF_DRIVE[file.geometry.drive])
     if unknown := [name for name in controllers if name not in CONTROLLERS]:
-        found = f"controller: found {unknown[0]!r}"
-        raise BadInputError(f"{found}; expected one of {', '.join(CONTROLLERS)}; choose one of them")
+        fault = f"controller: found {unknown[0]!r}"
+        raise BadInputError(f"{fault}; expected one of {', '.join(CONTROLLERS)}; choose one of them")
     values = {
         "file": file,
         "options": options,

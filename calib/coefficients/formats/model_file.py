@@ -104,8 +104,8 @@ class ModelFile:
         try:
             parser.Parse(self.data, True)
         except expat.ExpatError as error:
-            found = expat.ErrorString(error.code)
-            raise BadFileError(self.path, found, "XML in UTF-8", "correct the file", row=error.lineno) from error
+            actual = expat.ErrorString(error.code)
+            raise BadFileError(self.path, actual, "XML in UTF-8", "correct the file", row=error.lineno) from error
         return roots[0]
 
     def _tag_end(self, at: int) -> int:
@@ -131,8 +131,8 @@ class ModelFile:
         begin = self.data.index(b">", node.tag_end) + 1
         between = self.data[begin : node.close]
         if between.strip() != node.text.strip().encode():
-            found = f"{self.path}: found <{node.tag}> with comments or entities in its number"
-            raise RefusedError(f"{found}; expected a plain number; write it so")
+            fault = f"{self.path}: found <{node.tag}> with comments or entities in its number"
+            raise RefusedError(f"{fault}; expected a plain number; write it so")
         node.text = value
         left, right = len(between) - len(between.lstrip()), len(between.rstrip())
         self._changes[begin + left, begin + right] = value.encode()
@@ -248,11 +248,11 @@ def _set_wheels(left: Wheel, right: Wheel, new: _NewWheels) -> tuple[str, ...]:
 def named(candidates: Iterable[tuple[str, Node]], name: str, path: Path, option: str) -> Node:
     """Return the only element of a name, of (name, element); raises BadInputError."""
     known = grouped(candidates)
-    found = set(known.get(name, ()))
-    if len(found) == 1:
-        return found.pop()
-    if found:
-        raise BadInputError(f"{path}: found {len(found)} elements named {name!r}; expected one; rename them")
+    nodes = set(known.get(name, ()))
+    if len(nodes) == 1:
+        return nodes.pop()
+    if nodes:
+        raise BadInputError(f"{path}: found {len(nodes)} elements named {name!r}; expected one; rename them")
     listed = ", ".join(sorted(known)[:20]) or "none with a name"
     raise BadInputError(f"{option}: found {name!r}; expected a wheel of {path.name}: {listed}; choose one of them")
 
@@ -270,10 +270,10 @@ def _further_wheels(model: ModelFile, set_ones: tuple[Wheel, Wheel], wheel: Find
         if joint.tag != "joint" or joint.attributes.get("type", "hinge") not in TURNING or joint.parent is None:
             continue
         with suppress(CalibError):
-            found = wheel(model, joint.attributes.get("name") or joint.parent.attributes.get("name", ""), "")
-            if found.node not in seen and abs(found.radius_m - radius_m) <= LIKE_RADIUS * radius_m:
-                seen.append(found.node)
-                others.append(f"{found.name} (radius {found.radius_m:g} m)")
+            candidate = wheel(model, joint.attributes.get("name") or joint.parent.attributes.get("name", ""), "")
+            if candidate.node not in seen and abs(candidate.radius_m - radius_m) <= LIKE_RADIUS * radius_m:
+                seen.append(candidate.node)
+                others.append(f"{candidate.name} (radius {candidate.radius_m:g} m)")
     note = f"not set: {', '.join(others)}; for a second pair export again, --into the copy, and name its joints"
     return (note,) if others else ()
 

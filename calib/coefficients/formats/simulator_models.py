@@ -17,16 +17,16 @@ TURNS: Final = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 def _link_radii(
     model: ModelFile, link: Node | None, name: str, radius: Callable[[Node], Slot | None]
 ) -> tuple[float, tuple[Slot, ...]]:
-    found: dict[str, list[Slot]] = {"collision": [], "visual": []}
+    by_tag: dict[str, list[Slot]] = {"collision": [], "visual": []}
     for part in () if link is None else link.children:
-        if part.tag in found:
-            found[part.tag] += [slot for shape in part.walk() if shape.tag in ROUND and (slot := radius(shape))]
-    contact = found["collision"] or found["visual"]
+        if part.tag in by_tag:
+            by_tag[part.tag] += [slot for shape in part.walk() if shape.tag in ROUND and (slot := radius(shape))]
+    contact = by_tag["collision"] or by_tag["visual"]
     if not contact:
         text = f"{model.path}: found no cylinder, sphere or capsule in the link of {name!r}; expected one with a radius"
         raise RefusedError(f"{text}; a mesh has none: add a collision cylinder")
     largest = max(slot.values[0] for slot in contact)
-    return largest, tuple(slot for slots in found.values() for slot in slots if slot.values[0] == largest)
+    return largest, tuple(slot for slots in by_tag.values() for slot in slots if slot.values[0] == largest)
 
 
 def _off_zero(place: str) -> bool:

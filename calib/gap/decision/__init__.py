@@ -65,15 +65,15 @@ def trials(left_out: HeldOutFit, before: FloatArray, rerun: FloatArray | None = 
     from scipy.special import fdtri
 
     observations = left_out.observations
-    tried = [each for each in _values(observations) if rerun is not None or left_out.is_predictive(each[2])]
+    conditions = [each for each in _values(observations) if rerun is not None or left_out.is_predictive(each[2])]
     squares_before = left_out.squares(before)
     results = []
-    for name, value, units in tried:
+    for name, value, units in conditions:
         after = left_out.after(units) if rerun is None else rerun
         square, corrected = squares_before[units].sum(), left_out.squares(after)[units].sum()
         expected = float(observations.usable[units].sum())
         # squares over an estimated noise level follow F; Bonferroni
-        limit = expected * float(fdtri(expected, max(left_out.noise.dof, 3.0), 1.0 - FALSE_ALARM / len(tried)))
+        limit = expected * float(fdtri(expected, max(left_out.noise.dof, 3.0), 1.0 - FALSE_ALARM / len(conditions)))
         added, added_variance = left_out.prediction_variance(units) if rerun is None else (0.0, 0.0)
         scatter = np.sqrt((2.0 * left_out.spread(after - before, units)) ** 2 + 2.0 * added_variance)
         results.append(

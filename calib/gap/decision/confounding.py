@@ -64,7 +64,7 @@ def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Dist
     Where they are confounded together, each for itself is not asked for.
     """
     fitted, system, off = evidence.fitted, evidence.system, evidence.calibration
-    found = [_of_effect(evidence, number, within) for number in range(len(fitted.forms))]
+    distances = [_of_effect(evidence, number, within) for number in range(len(fitted.forms))]
     forms = evidence.search.forms
     free = [system.calibration[:, 3:], *(MIN_EFFECT_SD * system.columns(form) for form in fitted.forms)]
 
@@ -80,19 +80,19 @@ def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Dist
         others, by = [CALIBRATION_SD[0] * column for column in ratio], float(np.sqrt(evidence.variance_factor))
         alike = near(SCALED[:2], others, forms | evidence.unaided_scale, by)
         if alike.pop(ReferenceScale.id, np.inf) < SEPARATION_SD:
-            found.append((SCALED, alike))
+            distances.append((SCALED, alike))
             off = tuple(name for name in off if name not in SCALED)
     if len(off) > 1:
         # one cause may look like two parameters off (counts lost on one wheel)
         together = near(off, [], forms)
         if min(together.values(), default=np.inf) < SEPARATION_SD:
-            return [*found, (off, together)]
-        found += [(off, together)] * bool(together)
+            return [*distances, (off, together)]
+        distances += [(off, together)] * bool(together)
     for name in off:
         others = [_undetected(evidence, off)[:, [other != name for other in NAMES]]]
         own = {other: each for other, each in evidence.own_forms.items() if other in NAMES}
-        found.append(((name,), near([name], others, forms | own)))
-    return found
+        distances.append(((name,), near([name], others, forms | own)))
+    return distances
 
 
 def _of_effect(evidence: Evidence, number: int, within: float) -> Distances:
@@ -124,16 +124,16 @@ def apart_on(
     wanted = {*among, *evidence.named, *NAMES}
     effects = {name: effect for name, effect in evidence.effects.items() if name in wanted}
     forms = {name: effect.forms(path.s) for name, effect in effects.items() if not effect.calibration}
-    here, sizes = list(zip(*sizes_on(forms, evidence.fitted), strict=True)) or ((), ())
-    fitted = replace(evidence.fitted, path=path, forms=here, theta=sizes)
+    acting, sizes = list(zip(*sizes_on(forms, evidence.fitted), strict=True)) or ((), ())
+    fitted = replace(evidence.fitted, path=path, forms=acting, theta=sizes)
     search = replace(evidence.search, fitted=fitted, forms=forms)
-    there = replace(evidence, nominal=path, noise=noise, effects=effects, search=search)
-    whole = there.system
+    planned = replace(evidence, nominal=path, noise=noise, effects=effects, search=search)
+    whole = planned.system
 
     def distances(times: FloatArray) -> list[Distances]:
-        vars(there).pop("per_unit", None)
-        vars(there)["system"] = whole.repeated(times)
-        return distances_of(there, np.inf)
+        vars(planned).pop("per_unit", None)
+        vars(planned)["system"] = whole.repeated(times)
+        return distances_of(planned, np.inf)
 
     return distances
 
@@ -238,8 +238,8 @@ def _exchanged(evidence: Evidence, named: Sequence[str], other: str) -> Fitted |
     offered = (evidence.search.forms | evidence.unaided_scale).get(other, ())
     candidates = [kept] if is_recalibrated(evidence, other) else [[*kept, form] for form in offered]
     fixed = [NAMES.index(name) for name in named if is_recalibrated(evidence, name)]
-    tried = [refitted(evidence, forms, fixed) for forms in candidates]
-    return min(tried, key=lambda each: each[0])[1] if tried else None
+    refits = [refitted(evidence, forms, fixed) for forms in candidates]
+    return min(refits, key=lambda each: each[0])[1] if refits else None
 
 
 def refitted(evidence: Evidence, forms: Sequence[Form], fixed: Sequence[int]) -> tuple[float, Fitted]:

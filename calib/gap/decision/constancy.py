@@ -151,11 +151,11 @@ def beside_named_steps(causes: Sequence[Cause], later: Sequence[str]) -> Iterato
 
     They are means of the sessions driven, no promise for others. `later`: names of all but the first.
     """
-    more = half_of_steps(causes, later)
+    half_steps = half_of_steps(causes, later)
     for cause in causes:
-        if cause.effect in more:
+        if cause.effect in half_steps:
             (name, size) = next(iter(cause.parameters.items()))
-            half = float(np.hypot(more[cause.effect], 0.5 * (size.ci95[1] - size.ci95[0])))
+            half = float(np.hypot(half_steps[cause.effect], 0.5 * (size.ci95[1] - size.ci95[0])))
             whole = replace(size, ci95=(size.value - half, size.value + half))
             text = f"the mean of {len(later) + 1} sessions, and the interval holds their steps"
             cause = replace(cause, parameters={name: whole}, remark=cause.remark or text)
@@ -222,7 +222,7 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
         return _difference(evidence.left_out, effect, contributions[effect], by, groups[by], beside)
 
     pairs = ((effect, by) for effect in contributions for by in groups)
-    tested = [found for effect, by in pairs if (found := difference(effect, by)) is not None]
+    tested = [test for effect, by in pairs if (test := difference(effect, by)) is not None]
     differing: dict[str, SizeDifference] = {}
     for each in sorted(tested, key=lambda each: each.p_value):
         if (p_value := len(tested) * each.p_value) >= FALSE_REJECTION:
@@ -316,7 +316,7 @@ def _between_samples(evidence: Evidence, names: Collection[str]) -> dict[str, st
 def _at_a_place(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
     """Return radii, which act along the whole way, where a route's gap opens at one place, out and back."""
     seen, gap = evidence.observations, residuals(evidence.nominal, evidence.nominal)
-    found: dict[str, str] = {}
+    located: dict[str, str] = {}
     for place in evidence.where.places:
         name = {Channel.ALONG: RadiusScale.id, Channel.HEADING: UnequalRadii.id}.get(place.channel, "")
         on = (seen.labels["kind"] == place.route) & seen.usable[:, place.channel]
@@ -325,8 +325,8 @@ def _at_a_place(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
         if abs(place.size) > HALF_CLOSURE * float(np.abs(gap[on, place.channel]).mean()):
             first, last = place.place
             opens = f"the gap of {place.route} in {place.channel.label} opens from {first:.2f} to {last:.2f} m"
-            found[name] = f"{name} acts along the whole way, and {opens}: look at the floor there"
-    return found
+            located[name] = f"{name} acts along the whole way, and {opens}: look at the floor there"
+    return located
 
 
 def _saturated(evidence: Evidence, names: Collection[str]) -> dict[str, str]:

@@ -97,11 +97,11 @@ def decide(evidence: Evidence) -> Diagnosis:
     elif hides_causes(closure, share) or not evidence.noise.supported:
         causes = [cause for cause in causes if cause.probability >= CERTAIN_PROBABILITY]
     tied = tied_with(causes, groups)
-    found = naming.Finding(causes, certain, unexplained, differing, tied, open_sizes)
-    fix = as_delivered(evidence, found, fix_of(evidence, found, confounded, small))
+    finding = naming.Finding(causes, certain, unexplained, differing, tied, open_sizes)
+    fix = as_delivered(evidence, finding, fix_of(evidence, finding, confounded, small))
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
-        fix = sure_part(evidence, found, fix)
-        causes = [cause for cause in causes if is_named_beside(cause, fix, found)]
+        fix = sure_part(evidence, finding, fix)
+        causes = [cause for cause in causes if is_named_beside(cause, fix, finding)]
     causes, closure = ranked(causes), fix.closure or closure
     fix = shown_by_many(fix, closure)
     kind = _as_delivered(kind, fix, closure)
@@ -168,7 +168,7 @@ def tied_with(causes: Sequence[Cause], groups: Sequence[Sequence[str]]) -> list[
 def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
     off = misfit_of(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
-    said = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
+    sentence = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
     if diagnosis.kind in NOTHING_NAMED:
         first = _on_data(evidence.situation, blunder) or _single_runs(evidence) * (diagnosis.kind is VerdictKind.NO_GAP)
         if diagnosis.kind is VerdictKind.NO_GAP and evidence.observations.windowed and evidence.situation.omitted:
@@ -179,7 +179,7 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
         blunders = (cause for cause in diagnosis.causes if cause.signal == float("inf"))
         first += tuple(f"{cause.form}: {cause.remark}." for cause in blunders)
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
-    text = lead + said + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
+    text = lead + sentence + _on_scatter(evidence) + _on_omitted(evidence.situation.omitted)
     for note in columns_as_one(evidence.situation.campaign.included()):
         words = [word for cause in diagnosis.causes for word in (cause.family, cause.effect.partition("_")[0]) if word]
         if any(word in note.where for word in words):
@@ -205,8 +205,8 @@ def _single_runs(evidence: Evidence) -> tuple[str, ...]:
     far = enumerate(pairwise(abs(run.z) for run in runs), 1)
     number = max((k for k, (one, after) in far if one > max(reach, BAD_RUN_RATIO * after)), default=0)
     off = (f"{run.name} ({run.channel.label} {1e3 * run.value:+.3g} m{run.channel.unit})" for run in runs[:number])
-    said = f"{sentences.joined(off, 'and')} alone: look at reference, start, counts and steering, or exclude."
-    return (said,) * (number > 0)
+    note = f"{sentences.joined(off, 'and')} alone: look at reference, start, counts and steering, or exclude."
+    return (note,) * (number > 0)
 
 
 def _rather_not(causes: Sequence[Cause], certain: Mapping[str, float]) -> bool:

@@ -42,26 +42,26 @@ PARTING: Final = {
 PLAUSIBLE_FACTOR: Final = sqrt(10.0)
 
 
-def fix_of(evidence: Evidence, found: Finding, confounded: Sequence[Sequence[str]], small: Sequence[str] = ()) -> Fix:
+def fix_of(evidence: Evidence, finding: Finding, confounded: Sequence[Sequence[str]], small: Sequence[str] = ()) -> Fix:
     """Return what the correction is worth, and why not to apply it.
 
     `confounded`: groups of all effects fitted; `small`: fitted ones that are negligible.
     """
-    apart_m = confounding.agreement_m(evidence, found.tied)
+    apart_m = confounding.agreement_m(evidence, finding.tied)
     on = DRIVEN if evidence.journeys is None else JOURNEYS
     nothing_else = confounding.nothing_else_probability(evidence, confounded)
     fix = Fix(agreement_m=apart_m, agreement_on=on, nothing_else=nothing_else)
-    if not found.causes:
+    if not finding.causes:
         return fix
     fitted, gap = [name for name in evidence.named if name not in small], confounding.gap_probability(evidence)
-    unnamed = [name for name in fitted if name not in {cause.effect for cause in found.causes}]
+    unnamed = [name for name in fitted if name not in {cause.effect for cause in finding.causes}]
     improvement = evidence.held_out.improvement
     why = (
-        *reasons(found, improvement, evidence.trials, evidence.held_out.closure),
-        *disagreement(apart_m, on, evidence.held_out.closure, found.tied),
+        *reasons(finding, improvement, evidence.trials, evidence.held_out.closure),
+        *disagreement(apart_m, on, evidence.held_out.closure, finding.tied),
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
-        *elsewhere(fitted, alternatives(evidence, found)),
-        *unsized(evidence, found),
+        *elsewhere(fitted, alternatives(evidence, finding)),
+        *unsized(evidence, finding),
         # noise that looks like a cause looks like its improvement, too
         *([] if gap >= CERTAIN_PROBABILITY else [f"the probability that there is a gap at all is {gap:.2f}; {REPEAT}"]),
         # what is shown beyond too high a level holds at any lower one
@@ -76,21 +76,21 @@ def noise_bounded(evidence: Evidence) -> bool:
 
 
 def reasons(
-    found: Finding, improvement: Improvement | None, trials: Sequence[Trial] = (), closure: Closure | None = None
+    finding: Finding, improvement: Improvement | None, trials: Sequence[Trial] = (), closure: Closure | None = None
 ) -> list[str]:
     """Return what keeps a fix of some causes back, with figures and what settles it.
 
     `improvement`, `closure`: on held-out runs; `trials`: on each value of what varies, held out.
     """
-    single = dict.fromkeys(text for cause in found.causes for text in doubts(cause, found))
+    single = dict.fromkeys(text for cause in finding.causes for text in doubts(cause, finding))
     left = any(map(fails, trials)) or (closure is not None and closure.leaves_part)
     helpful = [
         *unhelpful(improvement),
-        *remaining(improvement, found.unexplained, left=left),
-        *oversized(found.causes, improvement),
+        *remaining(improvement, finding.unexplained, left=left),
+        *oversized(finding.causes, improvement),
     ]
-    measured = without_length(cause.effect for cause in found.causes)
-    return [*_doubtful(found), *helpful, *single, *measured, *harm(trials)]
+    measured = without_length(cause.effect for cause in finding.causes)
+    return [*_doubtful(finding), *helpful, *single, *measured, *harm(trials)]
 
 
 def without_length(names: Iterable[str]) -> list[str]:
@@ -103,7 +103,7 @@ def without_length(names: Iterable[str]) -> list[str]:
     ]
 
 
-def doubts(cause: Cause, found: Finding) -> Iterator[str]:
+def doubts(cause: Cause, finding: Finding) -> Iterator[str]:
     """Yield why a cause is no part of a fix.
 
     Its size may be zero or differ between groups of runs, or be a part of the unexplained residual.
@@ -115,11 +115,11 @@ def doubts(cause: Cause, found: Finding) -> Iterator[str]:
             for name, quantity in cause.parameters.items()
         )
         yield f"the interval of {cause.effect} holds zero ({sizes}); {PLAN}"
-    if cause.effect in found.differing:
-        yield found.differing[cause.effect].sentence
-    if cause.effect in found.unchecked:
-        yield found.unchecked[cause.effect]
-    unexplained = found.unexplained if found.leaves_part and cause.share > SMALL_SHARE else None
+    if cause.effect in finding.differing:
+        yield finding.differing[cause.effect].sentence
+    if cause.effect in finding.unchecked:
+        yield finding.unchecked[cause.effect]
+    unexplained = finding.unexplained if finding.leaves_part and cause.share > SMALL_SHARE else None
     shared = unexplained is not None and unexplained.beyond_noise and cause.probability <= EVEN_PROBABILITY
     if unexplained is not None and (shared or cause.signal < NOISE_LEVELS * unexplained.signal):
         yield (
@@ -139,35 +139,36 @@ def beyond_vehicles(cause: Cause) -> Iterator[str]:
         )
 
 
-def improbable(causes: Sequence[Cause], found: Finding) -> Cause | None:
+def improbable(causes: Sequence[Cause], finding: Finding) -> Cause | None:
     """Return the least probable cause where it or all together are less probable than a fix asks, else None."""
-    least = min(sorted(causes, key=lambda cause: -cause.share)[1:], key=found.probability, default=None)
-    if least is not None and found.probability(least) < FURTHER_PROBABILITY:
+    least = min(sorted(causes, key=lambda cause: -cause.share)[1:], key=finding.probability, default=None)
+    if least is not None and finding.probability(least) < FURTHER_PROBABILITY:
         return least
-    return min(causes, key=found.probability) if prod(map(found.probability, causes)) < FIX_PROBABILITY else None
+    return min(causes, key=finding.probability) if prod(map(finding.probability, causes)) < FIX_PROBABILITY else None
 
 
-def _doubtful(found: Finding) -> Iterator[str]:
-    if improbable(found.causes, found) is not None:
+def _doubtful(finding: Finding) -> Iterator[str]:
+    causes, probability = finding.causes, finding.probability
+    if improbable(causes, finding) is not None:
         listed = ", ".join(
-            f"{cause.effect}{'' if cause.probability >= 0.9 * found.probability(cause) else ' or what looks like it'} "
-            f"{found.probability(cause):.2f}"
-            for cause in found.causes
+            f"{cause.effect}{'' if cause.probability >= 0.9 * probability(cause) else ' or what looks like it'} "
+            f"{probability(cause):.2f}"
+            for cause in causes
         )
-        together = prod(map(found.probability, found.causes))
+        together = prod(map(probability, causes))
         yield f"the probability that all of its causes are at work is {together:.2f} ({listed}); {PLAN}"
 
 
-def unsized(evidence: Evidence, found: Finding) -> Iterator[str]:
+def unsized(evidence: Evidence, finding: Finding) -> Iterator[str]:
     """Yield that an unexplained residual without a size is probable, where a cause is not strong beside it.
 
     Two standard deviations of chi square hide a signal of (8 n)^(1/4) in n readings.
     """
-    if found.unexplained is not None or evidence.search.rest < EVEN_PROBABILITY:
+    if finding.unexplained is not None or evidence.search.rest < EVEN_PROBABILITY:
         return
     hidden = (8.0 * float(evidence.observations.usable.sum())) ** 0.25
-    weak = [c for c in found.causes if c.share > SMALL_SHARE and c.signal < NOISE_LEVELS * hidden]
-    if weak or not found.causes:
+    weak = [c for c in finding.causes if c.share > SMALL_SHARE and c.signal < NOISE_LEVELS * hidden]
+    if weak or not finding.causes:
         yield (
             f"the probability of an unexplained residual is {evidence.search.rest:.2f}, though it is too small to be "
             f"located (a signal below {hidden:.0f}); repeat the routes with the largest gap"
@@ -224,9 +225,9 @@ REST: Final = "the rest has a cause of its own; look where the residual lies"
 
 
 def remaining(
-    improvement: Improvement | None, unexplained: Unexplained | None, rest: str = REST, *, left: bool = False
+    improvement: Improvement | None, unexplained: Unexplained | None, reason: str = REST, *, left: bool = False
 ) -> Iterator[str]:
-    """Yield where part of the gap, `rest`, is certainly left, and where too little of it closes; `left`: it shows."""
+    """Yield where part of the gap, `reason`, is certainly left, and where too little of it closes; `left`: it shows."""
     if improvement is None or improvement.improvement_ci95[0] <= 0.0:
         return
     part = improvement.leaves_some or unexplained is not None or left
@@ -234,7 +235,7 @@ def remaining(
         low, high = (100 * share for share in improvement.closed_ci95)
         yield (
             f"on held-out runs it closes {low:.0f} to {high:.0f} % of the gap, where {100 * HALF_CLOSURE:.0f} % are to "
-            f"be certain ({_errors(improvement)}): {rest}"
+            f"be certain ({_errors(improvement)}): {reason}"
         )
 
 
@@ -286,24 +287,24 @@ def elsewhere(fitted: Iterable[str], alternatives: Iterable[str]) -> list[str]:
     return sorted({text for name in {*fitted, *alternatives} if (text := effect_class(name).not_transferable)})
 
 
-def alternatives(evidence: Evidence, found: Finding) -> set[str]:
+def alternatives(evidence: Evidence, finding: Finding) -> set[str]:
     """Return what the causes may be instead: the probable ones where they explain all, else every one.
 
     Odds do not hold beside an unexplained residual or a size that differs between runs. Session steps always count
     where held-out sessions do not refute them.
     """
-    every = {name for group in found.tied for name in group}
-    if found.differing or found.leaves_part:
+    every = {name for group in finding.tied for name in group}
+    if finding.differing or finding.leaves_part:
         return every
     stepping = {name for name in every if name in evidence.effects and evidence.effects[name].per_session}
-    return confounding.as_probable(evidence, found.tied) | stepping
+    return confounding.as_probable(evidence, finding.tied) | stepping
 
 
 def parting(group: Sequence[str]) -> list[str]:
     """Return the first effect of a group and those that follow something else, one with it on the runs driven alone."""
     follows = PARTING.get(effect_class(group[0]).family, ())
-    found = [name for name in group[1:] if effect_class(name).family in follows]
-    return [group[0], *found] if found else []
+    parted = [name for name in group[1:] if effect_class(name).family in follows]
+    return [group[0], *parted] if parted else []
 
 
 def _either(group: Sequence[str]) -> str:
@@ -316,9 +317,9 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
 
     What drifted alike here need not in sessions to come, nor need speeds go with directions.
     """
-    for found in filter(None, map(parting, tied if on == DRIVEN else ())):
+    for parted in filter(None, map(parting, tied if on == DRIVEN else ())):
         yield (
-            f"these runs cannot tell {_either(found)}: what they follow went together, and where it does not their "
+            f"these runs cannot tell {_either(parted)}: what they follow went together, and where it does not their "
             f"corrections part; {PLAN}"
         )
     # a scale grows with the way: what agrees here does not on longer runs

@@ -122,16 +122,16 @@ def tells_more(windows: Diagnosis, ends: Diagnosis) -> bool:
     return large and windows.kind not in NO_GAP_SHOWN and (windows.gap_probability or 0.0) >= 1.0 - FALSE_ALARM
 
 
-def kept_back(found: Diagnosis, nominal: Path, noise: Noise) -> Diagnosis:
+def kept_back(diagnosis: Diagnosis, nominal: Path, noise: Noise) -> Diagnosis:
     """Return a diagnosis, its fix not recommended where it takes other observations of the same runs further off.
 
     `nominal`, `noise`: of whole runs for a diagnosis by windows of the recordings, else of their windows.
     """
     from scipy.special import stdtrit
 
-    if not found.recommended:
-        return found
-    fix, seen, effects = found.correction, nominal.s, found.arrays.effects
+    if not diagnosis.recommended:
+        return diagnosis
+    fix, seen, effects = diagnosis.correction, nominal.s, diagnosis.arrays.effects
     offered = zip(forms_on(seen, effects, fix.forms), fix.theta, strict=True)
     acting = [(form, size) for form, size in offered if form is not None]
     forms, theta = [form for form, _ in acting], [size for _, size in acting]
@@ -142,11 +142,11 @@ def kept_back(found: Diagnosis, nominal: Path, noise: Noise) -> Diagnosis:
     # one chance in twenty; a delay, which shows in windows alone, does nothing at ends
     chance = float(stdtrit(max(n - 1, 1), CONFIDENCE)) * float(np.std(grown)) / sqrt(n)
     if grown.mean() <= max(chance, NEGLIGIBLE_GROWTH * float(seen.usable.sum(axis=1).mean())):
-        return found
+        return diagnosis
     sizes = [few_digits(1e3 * (end_rms_m(gap, seen) or 0.0)) for gap in gaps]
     ends = "windows of the recordings" if seen.windowed else "whole runs"
     why = f"{ends} end {sizes[1]} mm off with it, {sizes[0]} mm without; 'calib plan' names the runs that tell"
-    return replace(found, fix=replace(found.fix, recommended=False, why=(why, *found.fix.why)))
+    return replace(diagnosis, fix=replace(diagnosis.fix, recommended=False, why=(why, *diagnosis.fix.why)))
 
 
 #: columns of a reference along the path
@@ -155,35 +155,38 @@ OF_A_PATH: Final = frozenset(("ref_x_m", "ref_theta_rad"))
 OF_REFERENCE: Final = ("axis_scale", "heading_scale")
 
 
-def beside_geometry(found: Diagnosis, campaign: Campaign) -> Diagnosis:
+def beside_geometry(diagnosis: Diagnosis, campaign: Campaign) -> Diagnosis:
     """Return a diagnosis of recordings beside what `calib geometry` says of them.
 
     Its fix is not recommended where the reference has unlike scales; radii and track that differ are noted.
     """
-    if not found.recommended or not OF_A_PATH.intersection(campaign.logs.columns):
-        return found
+    if not diagnosis.recommended or not OF_A_PATH.intersection(campaign.logs.columns):
+        return diagnosis
     from calib.kinematics.estimate import estimate_geometry
 
     with suppress(CalibError):
         geometry = estimate_geometry(campaign)
         if geometry.passed:
-            return replace(found, notes=(*found.notes, *_unlike(found, geometry)))
+            return replace(diagnosis, notes=(*diagnosis.notes, *_unlike(diagnosis, geometry)))
         if why := [fault.text for fault in geometry.faults if fault.code in OF_REFERENCE]:
-            fix, first = replace(found.fix, recommended=False, why=(*why, *found.fix.why)), [f"{text}." for text in why]
-            said = f"Correct this first: {' '.join(first)} Until then: {found.sentence}"
-            return replace(found, fix=fix, correct_first=(*first, *found.correct_first), sentence=said)
-    return found
+            fix, first = (
+                replace(diagnosis.fix, recommended=False, why=(*why, *diagnosis.fix.why)),
+                [f"{text}." for text in why],
+            )
+            sentence = f"Correct this first: {' '.join(first)} Until then: {diagnosis.sentence}"
+            return replace(diagnosis, fix=fix, correct_first=(*first, *diagnosis.correct_first), sentence=sentence)
+    return diagnosis
 
 
-def _unlike(found: Diagnosis, geometry: "Geometry") -> Iterator[str]:
-    fix, model, parts = found.correction.at_end(), found.observations.model, list[str]()
+def _unlike(diagnosis: Diagnosis, geometry: "Geometry") -> Iterator[str]:
+    fix, model, parts = diagnosis.correction.at_end(), diagnosis.observations.model, list[str]()
     for number, name in enumerate(("radius_left_m", "radius_right_m", "track_m")):
-        sd, here = sqrt(float(fix.covariance[number, number])), float(fix.calibration[number])
+        sd, relative = sqrt(float(fix.covariance[number, number])), float(fix.calibration[number])
         for own in (own for own in geometry.estimates if own.name == name):
             low, value, high = (size / getattr(model, name) - 1.0 for size in (own.ci95[0], own.value, own.ci95[1]))
-            if not low - 2.0 * sd <= here <= high + 2.0 * sd:
+            if not low - 2.0 * sd <= relative <= high + 2.0 * sd:
                 off = f"{100 * value:+.2f} % ({100 * low:+.2f} to {100 * high:+.2f} %)"
-                parts.append(f"{name} by {off}, not {100 * here:+.2f} %")
+                parts.append(f"{name} by {off}, not {100 * relative:+.2f} %")
     if parts:
         text = "on routes unlike these the two corrections differ: drive a straight and turns both ways"
         yield f"'calib geometry' of the same recordings corrects {', '.join(parts)}: {text}"
@@ -213,9 +216,9 @@ def with_left(diagnosis: Diagnosis) -> Diagnosis:
     # of the whole gap: a condition with a small one may keep all of it
     share, square = 1.0 - (closure.fraction or 0.0), max(left)[0]
     on = "run again with the fix" if closure.held_out == RERUN else "on held-out runs"
-    told = f"left {on}: {'; '.join(where)}; repeats in another session tell noise from a further cause"
-    found = Unexplained(min(max(share, 0.0), 1.0), sqrt(square), where)
-    return replace(diagnosis, left=found, notes=(*diagnosis.notes, told))
+    note = f"left {on}: {'; '.join(where)}; repeats in another session tell noise from a further cause"
+    unexplained = Unexplained(min(max(share, 0.0), 1.0), sqrt(square), where)
+    return replace(diagnosis, left=unexplained, notes=(*diagnosis.notes, note))
 
 
 def scatters_alone(evidence: Evidence) -> str:
@@ -235,8 +238,8 @@ def scatters_alone(evidence: Evidence) -> str:
 def no_mere_noise(evidence: Evidence) -> str:
     """Return in which channel repeats scatter far more than stated and follow a covariate, or beyond all measure."""
     excess = np.nan_to_num(evidence.noise.excess)
-    told = {line.channel: line for line in evidence.where.significant if line.channel is not None}
-    odd = [channel for channel in told if excess[channel] > STATED_EXCESS]
+    by_channel = {line.channel: line for line in evidence.where.significant if line.channel is not None}
+    odd = [channel for channel in by_channel if excess[channel] > STATED_EXCESS]
     channel = max(odd, key=lambda each: excess[each], default=Channel(int(np.argmax(excess))))
     if not odd and excess[channel] <= MAX_NOISE_EXCESS:
         return ""

@@ -27,17 +27,17 @@ from calib.types import FloatArray, few_digits
 ROUNDING: Final = 1e-12
 
 
-def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
+def sure_part(evidence: Evidence, finding: Finding, whole: Fix) -> Fix:
     """Return the fix of the sure causes where recommended, else the whole one with its reasons.
 
     `whole`: the fix of all causes, blunders apart, not recommended.
     """
-    causes, unexplained = found.causes, found.unexplained
+    causes, unexplained = finding.causes, finding.unexplained
     if not evidence.situation.faults and confounding.gap_probability(evidence) < CERTAIN_PROBABILITY:
         return whole
-    kept, dropped, by_odds = _parted(found)
+    kept, dropped, by_odds = _parted(finding)
     if len(kept) > 1:
-        dropped |= _unclear(evidence, replace(found, causes=kept), whole)
+        dropped |= _unclear(evidence, replace(finding, causes=kept), whole)
         kept = [cause for cause in kept if cause.effect not in dropped]
     names = {cause.effect for cause in kept}
     families = {evidence.effects[cause.effect].family for cause in causes if cause.effect in evidence.effects}
@@ -46,13 +46,13 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
         # a simulator's parameters are set together, and judged by running it again
         return whole
     # a recalibration is part of every fit: what of it is rather at work than not cannot be taken off
-    likely = {cause.effect for cause in causes if found.probability(cause) >= EVEN_PROBABILITY}
+    likely = {cause.effect for cause in causes if finding.probability(cause) >= EVEN_PROBABILITY}
     if not (names or evidence.situation.faults) or any(name in NAMES and name in likely for name in dropped):
         return whole
     # what dropped causes explain is left by design: the closure is that of all
     if causes and (_is_whole(evidence, names) or any(True for _ in rule.remaining(whole.held_out, unexplained))):
         return whole
-    sure = replace(found, causes=kept, tied=[group for group in found.tied if names.intersection(group)])
+    sure = replace(finding, causes=kept, tied=[group for group in finding.tied if names.intersection(group)])
     # a radius, or what looks like one, is the mean of the sessions: held out with their steps they say if it helps
     alike = names.union(*sure.tied)
     beside = {name for name in steps if alike.isdisjoint(evidence.effects[name].shifts)}
@@ -61,20 +61,20 @@ def sure_part(evidence: Evidence, found: Finding, whole: Fix) -> Fix:
     apart = rule.disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, sure.tied)
     beyond = [*apart, *others, *rule.unsized(evidence, sure), *_odd(evidence, kept, beside)]
     # what helps only with the calibration that a dropped cause looks like is not the fix of these
-    left_out, improvement, tried, worse = _tried(evidence, names, beside)
+    left_out, improvement, transfer, worse = _on_held_out(evidence, names, beside)
     left = () if dropped else rule.remaining(improvement, unexplained)
     odds = rule.needed(improvement) if by_odds else ()
     helpful = [*rule.unhelpful(improvement), *rule.oversized(kept, improvement)]
-    why = [*helpful, *worse, *left, *odds, *rule.harm(tried), *beyond]
+    why = [*helpful, *worse, *left, *odds, *rule.harm(transfer), *beyond]
     if why and steps:
         return replace(whole, why=(*whole.why, *(f"beside {', '.join(sorted(steps))}: {text}" for text in why)))
     if why:
-        return whole if causes else replace(whole, held_out=improvement, transfer=tried, why=tuple(why))
+        return whole if causes else replace(whole, held_out=improvement, transfer=transfer, why=tuple(why))
     return replace(
         whole,
         recommended=True,
         agreement_m=apart_m,
-        transfer=tried,
+        transfer=transfer,
         held_out=improvement,
         why=(),
         corrects=tuple(sorted(names, key=[cause.effect for cause in causes].index)),
@@ -90,43 +90,47 @@ def _odd(evidence: Evidence, kept: Sequence[Cause], beside: Collection[str]) -> 
     return [*rule.without_length(cause.effect for cause in kept), *odd]
 
 
-def _unclear(evidence: Evidence, found: Finding, whole: Fix) -> dict[str, str]:
+def _unclear(evidence: Evidence, finding: Finding, whole: Fix) -> dict[str, str]:
     unclear: dict[str, str] = {}
-    for group in found.tied:
+    for group in finding.tied:
         apart_m = confounding.agreement_m(evidence, [group])
         texts = [
             *rule.disagreement(apart_m, whole.agreement_on, evidence.held_out.closure, [group]),
-            *rule.elsewhere((), rule.alternatives(evidence, replace(found, tied=[group]))),
+            *rule.elsewhere((), rule.alternatives(evidence, replace(finding, tied=[group]))),
         ]
-        named = [cause.effect for cause in found.causes if cause.effect in group]
+        named = [cause.effect for cause in finding.causes if cause.effect in group]
         unclear |= {name: f"{name}: {text}" for text in texts for name in named}
     return unclear
 
 
-def as_delivered(evidence: Evidence, found: Finding, fix: Fix) -> Fix:
+def as_delivered(evidence: Evidence, finding: Finding, fix: Fix) -> Fix:
     """Return a recommended fix as written, without what is fitted and not named, judged anew.
 
     The others' sizes change with it; radii and track only where named, or for another zero of a named effect.
     """
-    names = {cause.effect for cause in found.causes}
+    names = {cause.effect for cause in finding.causes}
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
         return fix
-    left_out, improvement, tried, _ = _tried(evidence, names, ())
+    left_out, improvement, transfer, _ = _on_held_out(evidence, names, ())
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
     # what would move by nothing beyond noise takes no part of the gap
     acts = bool(unnamed) or not _others_at_zero(evidence, names)
-    rest = f"the rest is what {beside} would take"
-    left = (*rule.remaining(improvement, found.unexplained, rest), *_resized(evidence, left_out.fitted)) if acts else ()
-    why = (*rule.unhelpful(improvement), *left, *rule.harm(tried))
+    reason = f"the rest is what {beside} would take"
+    left = (
+        (*rule.remaining(improvement, finding.unexplained, reason), *_resized(evidence, left_out.fitted))
+        if acts
+        else ()
+    )
+    why = (*rule.unhelpful(improvement), *left, *rule.harm(transfer))
     if why:
         lead = f"without {unnamed}, which is not named" if unnamed else "with no other change of radii and track"
         return replace(fix, recommended=False, why=tuple(f"{lead}: {text}" for text in why))
-    corrects = tuple(cause.effect for cause in found.causes)
+    corrects = tuple(cause.effect for cause in finding.causes)
     closing = evidence.held_out.closing
     closure = closing and closing(*left_with_others(left_out, sessions=_by_session(evidence, names)))
     return replace(
-        fix, corrects=corrects, fitted=left_out.fitted, held_out=improvement, transfer=tried, closure=closure
+        fix, corrects=corrects, fitted=left_out.fitted, held_out=improvement, transfer=transfer, closure=closure
     )
 
 
@@ -172,7 +176,7 @@ def _moved_by(evidence: Evidence, names: Collection[str]) -> set[str]:
     return {*names, *chain.from_iterable(shifts)}
 
 
-def _tried(
+def _on_held_out(
     evidence: Evidence, names: Collection[str], stepping: Collection[str]
 ) -> tuple[HeldOutFit, Improvement, tuple[Trial, ...], tuple[str, ...]]:
     forms = [form for form in evidence.fitted.forms if form.effect in names or form.effect in stepping]
@@ -184,9 +188,9 @@ def _tried(
     stated = (before if as_counted is None else as_counted) - steps
     sessions = _by_session(evidence, (*names, *stepping))
     improvement = improvement_of(left_out, sessions=sessions, stated=stated)
-    tried = trials(left_out, before - steps)
+    transfer = trials(left_out, before - steps)
     worse = _worse_sessions(evidence, left_out, before, fitted.left + steps)[:1] if stepping else ()
-    return left_out, improvement, tried, tuple(worse)
+    return left_out, improvement, transfer, tuple(worse)
 
 
 def _by_session(evidence: Evidence, names: Iterable[str]) -> bool:
@@ -194,17 +198,17 @@ def _by_session(evidence: Evidence, names: Iterable[str]) -> bool:
 
 
 def _worse_sessions(evidence: Evidence, left_out: HeldOutFit, before: FloatArray, alone: FloatArray) -> list[str]:
-    observations, found = evidence.observations, []
+    observations, worse = evidence.observations, []
     squares = [left_out.squares(gap) for gap in (before, alone)]
     for session in np.unique(observations.labels["session"]):
         units = observations.labels["session"] == session
         as_is, left = (float(part[units].sum()) for part in squares)
         if left > max(as_is, most_square(int(observations.usable[units].sum()), evidence.noise.dof)):
-            found.append((np.sqrt(left / max(as_is, ROUNDING)), session))
+            worse.append((np.sqrt(left / max(as_is, ROUNDING)), session))
     return [
         f"alone it makes session {session} worse ({few_digits(ratio, 2)} times the gap): its size is the mean of "
         "unlike ones"
-        for ratio, session in sorted(found, reverse=True)
+        for ratio, session in sorted(worse, reverse=True)
     ]
 
 
@@ -218,30 +222,30 @@ def moved(evidence: Evidence, fix: Fix, causes: Sequence[Cause]) -> dict[str, Qu
         return {}
     inverse = np.linalg.inv(covariance)
     sd = np.sqrt(np.diag(np.linalg.inv(inverse[np.ix_(free, free)])))
-    more = half_of_steps(causes, [name for name, _ in session_steps(evidence.observations)])
-    steps = [more.get(NAMES[k], 0.0) for k in free]
+    half_steps = half_of_steps(causes, [name for name, _ in session_steps(evidence.observations)])
+    steps = [half_steps.get(NAMES[k], 0.0) for k in free]
     half = np.hypot(float(stdtrit(max(evidence.noise.dof, 3.0), 0.975)) * sd, steps)
     named = {cause.effect for cause in causes}
     sizes = {NAMES[k]: (float(values[k]), float(h)) for k, h in zip(free, half, strict=True) if NAMES[k] not in named}
     return {name: Quantity(value, (value - h, value + h), "1") for name, (value, h) in sizes.items()}
 
 
-def is_named_beside(cause: Cause, fix: Fix, found: Finding) -> bool:
+def is_named_beside(cause: Cause, fix: Fix, finding: Finding) -> bool:
     """Return whether a cause stays named beside a part's fix; `Fix.leaves` tells what doubtful ones are."""
     kept = fix.corrects is None or cause.effect in fix.corrects or effect_class(cause.effect).per_session
-    return kept or found.probability(cause) >= CERTAIN_PROBABILITY
+    return kept or finding.probability(cause) >= CERTAIN_PROBABILITY
 
 
-def _parted(found: Finding) -> tuple[list[Cause], dict[str, str], bool]:
-    causes, differing = found.causes, found.differing
-    dropped = {cause.effect: text for cause in causes for text in rule.doubts(cause, found)}
+def _parted(finding: Finding) -> tuple[list[Cause], dict[str, str], bool]:
+    causes, differing = finding.causes, finding.differing
+    dropped = {cause.effect: text for cause in causes for text in rule.doubts(cause, finding)}
     # a session's own step says nothing of the next, and takes nothing from what holds in all
     kinds = [kind for kind in (effect_class(cause.effect) for cause in causes) if kind.per_session]
     dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
     # what differs between runs acts as something else: a weaker cause may be a part of that, but nearly certain radii
     other = max((cause for cause in causes if cause.effect in differing), key=lambda cause: cause.signal, default=None)
     for cause in causes:
-        sure = cause.effect in NAMES and found.probability(cause) >= CERTAIN_PROBABILITY
+        sure = cause.effect in NAMES and finding.probability(cause) >= CERTAIN_PROBABILITY
         if other is not None and not sure and cause.effect not in dropped and cause.signal < other.signal:
             dropped[cause.effect] = (
                 f"{cause.effect} has a signal of {cause.signal:.0f} beside {other.effect} with {other.signal:.0f}, "
@@ -249,7 +253,7 @@ def _parted(found: Finding) -> tuple[list[Cause], dict[str, str], bool]:
             )
     kept = [cause for cause in causes if cause.effect not in dropped]
     n_probable = len(kept)
-    while (least := rule.improbable(kept, found)) is not None:
+    while (least := rule.improbable(kept, finding)) is not None:
         kept.remove(least)
-        dropped[least.effect] = f"{least.effect} is at work with a probability of {found.probability(least):.2f}"
+        dropped[least.effect] = f"{least.effect} is at work with a probability of {finding.probability(least):.2f}"
     return kept, dropped, len(kept) < n_probable

@@ -70,8 +70,8 @@ def _verdict(diagnosis: Diagnosis) -> str:
     if kind is VerdictKind.UNKNOWN:
         cause = f"{before or 'There is a gap, but'} no effect of the library explains it{_located(diagnosis.where)}."
         open_noise = "" if diagnosis.noise_level.supported else f" {_capital(_unexplained(diagnosis))}."
-        more = " More repeats decide it." if before else " Add columns of suspected quantities to runs.csv."
-        return f"{cause}{lead}{_nearest(diagnosis)}{open_noise or more}"
+        advice = " More repeats decide it." if before else " Add columns of suspected quantities to runs.csv."
+        return f"{cause}{lead}{_nearest(diagnosis)}{open_noise or advice}"
     if kind is VerdictKind.PARTLY_EXPLAINED:
         causes = f"{_listed(diagnosis.causes)}{_alternatives(diagnosis)}"
         words = f"The gap is partly explained by {causes}; {_unexplained(diagnosis)}.{_implausible(diagnosis)}"
@@ -85,18 +85,18 @@ def _verdict(diagnosis: Diagnosis) -> str:
 
 def nothing_to_apply(diagnosis: Diagnosis) -> str:
     """Return why there is no fix where no cause is named, in figures, and which runs would settle it."""
-    found = f"the probability of a gap is {diagnosis.gap_probability or 0.0:.2f}"
+    reason = f"the probability of a gap is {diagnosis.gap_probability or 0.0:.2f}"
     if diagnosis.kind is VerdictKind.NO_GAP:
-        found += f", below the {REPORTED_GAP_PROBABILITY:g} from which one is reported"
+        reason += f", below the {REPORTED_GAP_PROBABILITY:g} from which one is reported"
         runs = "'undetectable' has the size that would show; other loads, speeds and routes show smaller ones"
     elif diagnosis.noise_level.supported:
-        found = f"no effect of the library is probable enough to be named, and {found}"
+        reason = f"no effect of the library is probable enough to be named, and {reason}"
         columns = "add columns of suspected quantities to runs.csv, and repeat the routes with the largest gap"
         runs = REPEAT if diagnosis.is_improbable else columns
     else:
-        found, runs = f"{found} by a noise level that rests on {diagnosis.noise_level.support}", REPEAT
+        reason, runs = f"{reason} by a noise level that rests on {diagnosis.noise_level.support}", REPEAT
     sizes = _channels(diagnosis).strip(" .").replace("; ", ", ")
-    return f"{found}; {sizes[:1].lower()}{sizes[1:]}{sizes and '; '}{runs}"
+    return f"{reason}; {sizes[:1].lower()}{sizes[1:]}{sizes and '; '}{runs}"
 
 
 def _unsupported(diagnosis: Diagnosis) -> str:
@@ -314,16 +314,16 @@ def headline(diagnosis: Diagnosis) -> PaperHeadline | None:
 
     sole = not any(effect in group for group in diagnosis.groups)
     campaign = Improvement(float(before), float(after), before / after if after > 0.0 else None)
-    here = f"this campaign: {_metres(before)} m to {_metres(after)} m"
+    figures = f"this campaign: {_metres(before)} m to {_metres(after)} m"
     if campaign.ratio is not None:
-        here += f", {campaign.ratio:.3g} times smaller" if campaign.ratio >= SMALLER else ", hardly smaller"
+        figures += f", {campaign.ratio:.3g} times smaller" if campaign.ratio >= SMALLER else ", hardly smaller"
     beside = ", ".join(cause.effect for cause in diagnosis.causes if cause.effect != effect)
-    here += f", with {beside}" if beside else ""
-    here += "" if sole else ", if the load is the cause"
+    figures += f", with {beside}" if beside else ""
+    figures += "" if sole else ", if the load is the cause"
     printed = paper_headline()
     text = (
         f"Correction for the load; the paper: {printed.before_m:g} m to {printed.after_m:g} m as printed, about "
-        f"{printed.ratio:.0f} times smaller before rounding; {here}. The figures are end errors, each on its own "
+        f"{printed.ratio:.0f} times smaller before rounding; {figures}. The figures are end errors, each on its own "
         "route and loads."
     )
     return PaperHeadline(effect, sole, printed, campaign, text)

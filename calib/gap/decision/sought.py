@@ -101,9 +101,9 @@ class Sought:
         campaign, situation
             As given, and as searched.
         searched, effects
-            What was found, and the library.
+            Result of the search, and the library.
         refine
-            Turn a turned reference by the angle found further. Else its place or delay: of positions without headings
+            Turn a turned reference further, by the angle found. Else its place or delay: of positions without headings
             the course stands for these, which depends on both, so that sizes are fitted about those last found.
         """
         known = tuple(fault for fault in situation.faults if isinstance(fault, Mounting))
@@ -113,16 +113,16 @@ class Sought:
                 if turned := [fault for fault in known if isinstance(fault, TurnedReference)]:
                     return (turned[0].refined(float(theta[0]), sd_rad),)
         likely, error = searched.inclusion(), situation.observations.course_error
-        found = {
+        sizes = {
             form.effect: size
             for form, size, _ in searched.fitted.each()
             if form.effect in RESTATED and form.label in PLAIN_LABELS and likely[form.effect] > CERTAIN_PROBABILITY
         }
         offered, best, least = {effect.id: effect for effect in effects}, tuple[Mounting, ...](), np.inf
-        for names in (chosen for n in range(1, len(found) + 1) for chosen in combinations(found, n)):
-            bent = np.sum([error[:, :, RESTATED[name][1]] @ found[name] for name in names], axis=0)
+        for names in (chosen for n in range(1, len(sizes) + 1) for chosen in combinations(sizes, n)):
+            bent = np.sum([error[:, :, RESTATED[name][1]] @ sizes[name] for name in names], axis=0)
             if np.abs(bent).max() >= MIN_TURN_RAD:
-                new = [RESTATED[name][0](found[name], 0.0 * found[name], calibrated(likely[name])) for name in names]
+                new = [RESTATED[name][0](sizes[name], 0.0 * sizes[name], calibrated(likely[name])) for name in names]
                 mounted, misfit = self._settled(campaign, (*known, *new), searched, offered)
                 shown = tuple(fault for fault in mounted if not isinstance(fault, Restated) or fault.is_shown)
                 # a further one has to pay for itself
@@ -191,13 +191,13 @@ class Sought:
             # the same to any data but for the place of the sensor, and radii or loads of left and right that differ
             mirror = TurnedReference(0.0, 0.0, mirrored=True, clockwise=True)
             turned = mirror.correct(campaign)
-            seen, said = self._observed(turned, self.applied)
+            seen, mirror_notes = self._observed(turned, self.applied)
             by_mirror, by_counts = (
                 recalibrate(path, estimate_noise(path, residuals(path, path))).chi_square
                 for path in map(predict, (seen, right))
             )
             if by_mirror + 2.0 * LOG_EVIDENCE_WINDOW < by_counts:
-                return Situation(turned, seen, said, (mirror,), as_counted)
+                return Situation(turned, seen, mirror_notes, (mirror,), as_counted)
         return Situation(campaign, right, notes, (*faults, fault), as_counted)
 
     def _is_clockwise(self, campaign: Campaign, fault: Blunder | None) -> bool:
@@ -227,11 +227,11 @@ class Sought:
             raise RefusedError(
                 f"{campaign.name}: no run has a channel that can be compared with the simulation; {wrong or needed}"
             )
-        said = (*(note.sentence for note in implausible(campaign)), *notes_for_results(campaign))
+        data_notes = (*(note.sentence for note in implausible(campaign)), *notes_for_results(campaign))
         if not applied:
-            return observations, said
+            return observations, data_notes
         changed, notes = with_effects(observations, applied, declared=campaign.extra.get("effects", ()))
-        return changed, (*said, *notes)
+        return changed, (*data_notes, *notes)
 
 
 def _row_by_row(path: Path, other: Path, values: FloatArray, missing: FloatArray) -> FloatArray:

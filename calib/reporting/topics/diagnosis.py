@@ -61,9 +61,9 @@ def verdict_notice(verdict: Diagnosis) -> Notice:
     return Notice(level, with_kind(title, verdict.kind), prose(verdict.sentence.removeprefix(title).lstrip(": ")))
 
 
-def with_kind(title: str, kind: VerdictKind, *more: str) -> str:
+def with_kind(title: str, kind: VerdictKind, *further: str) -> str:
     """Return a title with the verdict's word, if new, and further remarks in brackets."""
-    remarks = [*([] if kind.value in title else [kind.value]), *more]
+    remarks = [*([] if kind.value in title else [kind.value]), *further]
     return f"{title} ({', '.join(remarks)})" if remarks else title
 
 
@@ -337,8 +337,8 @@ def confounded_blocks(verdict: Diagnosis) -> list[Block]:
     """Return the effects that these runs confound, and the credible sets of causes."""
     groups = items(", ".join(group) for group in verdict.groups[:MAX_CAUSES])
     sets = [" + ".join(names) or "none" for names in verdict.credible_sets]
-    more = f"; and {len(sets) - MAX_SETS} more" if len(sets) > MAX_SETS else ""
-    one_of = Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:MAX_SETS])}{more}.")
+    suffix = f"; and {len(sets) - MAX_SETS} more" if len(sets) > MAX_SETS else ""
+    one_of = Text(f"With 95 % probability the cause is one of: {'; '.join(sets[:MAX_SETS])}{suffix}.")
     title = Text("Confounded in these runs, since their signatures are the same:")
     return [*([title, *groups] if groups else ()), *([one_of] if len(sets) > 1 else ())]
 

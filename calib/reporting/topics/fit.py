@@ -163,8 +163,8 @@ def usable_notice(fit: Fit) -> Notice:
         return Notice("bad", title, f"FAILED: {'; '.join(fit.failed)}. The checks say what that means and what to do.")
     noted = [(prose(check.sentence), f"{name.capitalize()} wheel: ") for name, check in checks if check.level == "note"]
     if remarks := grouped(noted):
-        said = [text if len(wheels) > 1 else wheels[0] + text for text, wheels in remarks.items()]
-        return Notice("note", "The law can be used; its user has to know this", " ".join(said[:MAX_REMARKS]))
+        texts = [text if len(wheels) > 1 else wheels[0] + text for text, wheels in remarks.items()]
+        return Notice("note", "The law can be used; its user has to know this", " ".join(texts[:MAX_REMARKS]))
     return Notice("good", "The law can be used", "Every check of the fit passed without remark.")
 
 

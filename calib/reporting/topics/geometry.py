@@ -27,17 +27,17 @@ _ROUTE: Final = (
 
 def geometry_content(geometry: Geometry) -> tuple[Block, ...]:
     """Return the result as blocks."""
-    said = (Text(_heading(geometry)), *items(verdict_sentences(geometry)), parameter_table(geometry))
-    return (*said, *items(geometry_sentences(geometry)), *_route_tables(geometry))
+    blocks = (Text(_heading(geometry)), *items(verdict_sentences(geometry)), parameter_table(geometry))
+    return (*blocks, *items(geometry_sentences(geometry)), *_route_tables(geometry))
 
 
 def parameter_table(geometry: Geometry) -> Table:
     """Return the parameters with their intervals; of those that a held scale gives, their ratios'."""
     heads = ("<parameter", "<unit", "nominal", "estimate", "sd", "95 % interval", "change")
     held = {one.name for one in geometry.scaled}
-    said = " The mean radius is held at its nominal value: no result." if held else ""
+    note = " The mean radius is held at its nominal value: no result." if held else ""
     rows = (_cells(one, held=one.name in held) for one in (*geometry.estimates, *geometry.ratios))
-    return table(f"Parameters, with 95 % intervals.{said}", heads, rows, dense=True)
+    return table(f"Parameters, with 95 % intervals.{note}", heads, rows, dense=True)
 
 
 def _route_tables(geometry: Geometry) -> tuple[Table, ...]:
@@ -63,17 +63,18 @@ def verdict_sentences(geometry: Geometry) -> list[str]:
     """Return the verdict with its residuals, and what speaks against the estimates."""
     verdict = geometry.verdict.value.capitalize()
     judgement, parts = geometry.judgement, list[str]()
-    more = ["On held-out runs it is no better than the nominal values: nothing is gained by it"] * _idle(geometry)
+    remarks = ["On held-out runs it is no better than the nominal values: nothing is gained by it"] * _idle(geometry)
     for what, of, unit in (("position error", judgement.position, "m"), ("Heading error", judgement.heading, "rad")):
         if of.before:
             sizes = (of.before, of.after, of.held_out, of.expected)
             before, after, held_out, noise = (f"{1e3 * one:{'.3g' if one < 1.0 else '.0f'}} m{unit}" for one in sizes)
-            tried = f"{held_out} on held-out runs" if not math.isnan(of.held_out) else "too few runs to hold one out"
-            parts.append(f"{what} {before} before, {after} after, {tried}; noise {noise}")
+            outcome = f"{held_out} on held-out runs" if not math.isnan(of.held_out) else "too few runs to hold one out"
+            parts.append(f"{what} {before} before, {after} after, {outcome}; noise {noise}")
             if geometry.passed and 0.0 < LACK_OF_FIT * of.expected < of.after:
                 times = few_digits(of.after / of.expected, 2)
-                more.append(f"The {what.lower()} left is {times} times the noise: 'calib diagnose' looks for its cause")
-    return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in (*more, *geometry.why))]
+                left = f"The {what.lower()} left is {times} times the noise"
+                remarks.append(f"{left}: 'calib diagnose' looks for its cause")
+    return [f"{verdict}: {'. '.join(parts)}.", *(f"{capital(text)}." for text in (*remarks, *geometry.why))]
 
 
 def _idle(geometry: Geometry) -> bool:
@@ -130,14 +131,14 @@ def geometry_brief(geometry: Geometry) -> tuple[Block, ...]:
 LEVELS: Final = {GeometryVerdict.CALIBRATED: "good", GeometryVerdict.DOUBTFUL: "note", GeometryVerdict.WRONG: "bad"}
 
 
-def geometry_sections(geometry: Geometry, found: Sequence[Notice], *, withheld: bool = False) -> list[Section]:
-    """Return result, residuals and correlations; `found`: notices of a diagnosis; `withheld`: without the estimates."""
+def geometry_sections(geometry: Geometry, notices: Sequence[Notice], *, withheld: bool = False) -> list[Section]:
+    """Return result, residuals and correlations; `notices`: of a diagnosis; `withheld`: without the estimates."""
     verdict = geometry.verdict
     first, *further = verdict_sentences(geometry)
     result = (
         Notice(LEVELS[verdict], f"Geometry {verdict.value}", prose(capital(first.partition(": ")[2]))),
         *items(map(prose, further)),
-        *found,
+        *notices,
         Facts(_estimated_from(geometry)),
         *([Text(paragraph("geometry_withheld"))] if withheld else [parameter_table(geometry)]),
         *items(map(prose, geometry.notes if withheld else _geometry_remarks(geometry))),
@@ -277,26 +278,26 @@ def _of_survey(survey: Survey, *, page: bool) -> tuple[Block, ...]:
     done = len(survey.records) - len(failed)
     facts = (("vehicles", f"{done} of {len(survey.records)} done, {len(failed)} failed"),)
     now = (("now", f"{survey.n_done} done now, {survey.n_kept} kept from before"),)
-    found = survey.quantities or Quantities({}, (), ())
-    shared = [*(cause.sentence for cause in survey.shared), *(one.sentence for one in found.common)]
+    quantities = survey.quantities or Quantities({}, (), ())
+    shared = [*(cause.sentence for cause in survey.shared), *(one.sentence for one in quantities.common)]
     return (
         reporting.Heading(f"Fleet: {survey.what}"),
         Facts(facts if page else facts + now),
         *([_verdicts(survey)] if done else ()),
-        *_populations(found.populations),
-        *_counted("Outlying vehicles", [f"{one.vehicle}, {one.why}" for one in found.outliers]),
+        *_populations(quantities.populations),
+        *_counted("Outlying vehicles", [f"{one.vehicle}, {one.why}" for one in quantities.outliers]),
         *_counted(_COMMON, shared),
         *_counted("Failed", failed),
     )
 
 
 def _verdicts(survey: Survey) -> Table:
-    found = []
+    verdicts = []
     for name, values in ((one.name, one.values) for one in survey.records if one.status != "failed"):
         what = [cause["effect"] for cause in values.get("causes", ())]
         what += [*values.get("wrong", ()), *values.get("suspicious", ())]
         what += [reason.partition(":")[0] for reason in values.get("reasons", ())]
-        found.append(((values.get("verdict", MISSING), ", ".join(dict.fromkeys(what)) or MISSING), name))
-    alike = sorted(grouped(found).items(), key=lambda one: -len(one[1]))[:MAX_ROWS]
+        verdicts.append(((values.get("verdict", MISSING), ", ".join(dict.fromkeys(what)) or MISSING), name))
+    alike = sorted(grouped(verdicts).items(), key=lambda one: -len(one[1]))[:MAX_ROWS]
     rows = [(*words, str(len(names)), listed(names)) for words, names in alike]
     return table("Verdicts", ("<Verdict", "*Found", "Vehicles", "*Which"), rows)

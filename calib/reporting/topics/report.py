@@ -63,8 +63,8 @@ def preparation_of(notes: Any) -> Section | None:
     if not isinstance(notes, (list, tuple)) or not notes:
         return None
     sentences = [f"{where}: {text}" for where, text in notes[:MOST_NOTES]]
-    more = len(notes) - len(sentences)
-    sentences += [f"and {more} more, in ingest.json of the campaign"] if more else []
+    n_more = len(notes) - len(sentences)
+    sentences += [f"and {n_more} more, in ingest.json of the campaign"] if n_more else []
     head = Text("The runs were made of the laboratory's files by calib ingest, which noted:")
     return Section("Preparation of the data", (head, *items(sentences)))
 
@@ -101,8 +101,8 @@ def conditions_section(source: Source) -> Section:
     traceable = "No certificates of the instruments are stated: this report shows no traceability to the SI."
     if "instruments" in source.stated:
         traceable = "Traceability to the SI rests on the instruments' certificates as named above."
-    some = any(key.startswith(("rangefinder", "reference")) for key in setup.assumed)
-    beside = " where none is assumed" if some else ""
+    assumed = any(key.startswith(("rangefinder", "reference")) for key in setup.assumed)
+    beside = " where none is assumed" if assumed else ""
     stated = f"{traceable} The standard uncertainties of the instruments are as stated by the campaign{beside}."
     texts = [Text(stated), results.assumed_text(setup.assumed)]
     if "remarks" in source.stated:

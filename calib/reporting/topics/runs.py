@@ -148,8 +148,8 @@ def runs_content(name: str, simulated: bool, judged: RunDeviations) -> tuple[Blo
         rows.append((str(row["run_id"]), str(row["source"]), *sizes, str(row["verdict"])))
     mark = " SIMULATED DATA." if simulated else ""
     notes = [*judged.notes, *(f"Not used: {run.run_id} {run.reason}" for run in judged.left_out)]
-    found = table(f"{name}: error that each path adds to its radii.{mark}", ("<Run", "<From", *heads, "<Verdict"), rows)
-    return (found, *items(map(prose, notes)), Text(prose(judged.summary)))
+    block = table(f"{name}: error that each path adds to its radii.{mark}", ("<Run", "<From", *heads, "<Verdict"), rows)
+    return (block, *items(map(prose, notes)), Text(prose(judged.summary)))
 
 
 #: what a check found -> its step, where the law of the load lacks runs
@@ -331,6 +331,6 @@ def outlook_content(name: str, n_runs: int, outlook: "Outlook") -> tuple[Block, 
         rows.append((effect, fixed(float(outlook.signal[number]), 1), prose(outlook.smallest[effect].sentence), words))
     known = {"told": len(told_apart), "effects": len(outlook.effects) + len(outlook.absent)}
     heads = ("<Effect", "Signal", "*Smallest size seen", "*Told apart, or confused with")
-    told = table(caption("table-outlook", name=name, runs=n_runs, **known), heads, rows)
+    block = table(caption("table-outlook", name=name, runs=n_runs, **known), heads, rows)
     why = (prose(outlook.smallest[effect].sentence) for effect in outlook.absent[:1])
-    return (told, *items(f"{', '.join(outlook.absent)}: {text}" for text in why))
+    return (block, *items(f"{', '.join(outlook.absent)}: {text}" for text in why))
