@@ -71,8 +71,9 @@ class Closure:
 
     @property
     def largest_residual(self) -> float:
-        """Largest residual with the causes over the noise level of its channel; 0 without channels."""
-        return max((line.after_rms / line.floor_rms for line in self.channels if line.floor_rms > 0.0), default=0.0)
+        """Largest residual with the causes over the noise level of its channel, as stated; 0 without channels."""
+        ratios = (line.after_rms / line.floor_rms for line in self.channels if line.floor_rms > 0.0)
+        return round(max(ratios, default=0.0), 1)
 
     @property
     def leaves_part(self) -> bool:

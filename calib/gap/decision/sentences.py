@@ -124,7 +124,7 @@ def _unexplained(diagnosis: Diagnosis) -> str:
         if any(map(fails, diagnosis.fix.transfer)):
             return "the correction does not carry over to all held-out runs"
         if (left := diagnosis.closure.largest_residual) > NOISE_LEVELS:
-            return f"{left:.0f} times the noise is left on held-out runs"
+            return f"{left:g} times the noise is left on held-out runs"
         if diagnosis.closure.leaves_part:
             return "part of the gap remains on held-out runs"
         if diagnosis.closure.rests_on_few:
