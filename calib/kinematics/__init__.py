@@ -210,19 +210,19 @@ def recording_of(campaign: Campaign, source: str, *, planned: bool = False) -> R
     away = in_map and campaign.reference.frame is None and _begins_away(campaign)
     pasted = () if planned else pasted_rows(campaign)
     copied = {note.run_id: "a copy of another run, which counts once" for note in pasted}
-    found = [
+    outcomes = [
         copied.get(run_id) or _piece(campaign, row, source, per_rev, in_map, away)
         for row, run_id in enumerate(campaign.runs.run_id)
     ]
     if campaign.model.slope_left_m_per_N or campaign.model.slope_right_m_per_N:
         # a law of the load believes none at its reference load that others are far from
-        carried = [not isinstance(piece, str) and piece.loads is not None for piece in found]
+        carried = [not isinstance(piece, str) and piece.loads is not None for piece in outcomes]
         if any(carried):
             why = "no wheel loads, though other runs have them; state them"
-            found = [p if known or isinstance(p, str) else why for p, known in zip(found, carried, strict=True)]
-    named = zip(campaign.runs.run_id.tolist(), found, strict=True)
+            outcomes = [p if known or isinstance(p, str) else why for p, known in zip(outcomes, carried, strict=True)]
+    named = zip(campaign.runs.run_id.tolist(), outcomes, strict=True)
     left_out = tuple((run_id, reason) for run_id, reason in named if isinstance(reason, str))
-    pieces = [piece for piece in found if not isinstance(piece, str)]
+    pieces = [piece for piece in outcomes if not isinstance(piece, str)]
     if not pieces:
         reason = f"; the first, {left_out[0][0]}: {left_out[0][1]}" if left_out else ""
         ends = any(np.isfinite(campaign.runs.number(name)).any() for name in ("ref_x_m", "ref_theta_rad"))
@@ -231,7 +231,7 @@ def recording_of(campaign: Campaign, source: str, *, planned: bool = False) -> R
             f"geometry of {campaign.name!r}: found no run with wheels and a reference pose{reason}; expected logs with "
             f"{', '.join(WHEEL_COLUMNS[source])} and end poses or ref_ columns; {lacking}"
         )
-    runs = campaign.runs.select(np.array([not isinstance(piece, str) for piece in found]))
+    runs = campaign.runs.select(np.array([not isinstance(piece, str) for piece in outcomes]))
 
     def joined(name: str) -> FloatArray | None:
         parts = [getattr(piece, name) for piece in pieces]

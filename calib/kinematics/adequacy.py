@@ -106,41 +106,40 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
 
     `what`, `unit`: for the sentence; a residual times 1000 is in `unit`.
     """
-    found = residuals
-    sizes = (found.before, found.after, found.held_out, found.expected)
+    sizes = (residuals.before, residuals.after, residuals.held_out, residuals.expected)
     before, after, held_out, noise = (f"{few_digits(1e3 * value)} {unit}" for value in sizes)
     of = "distance travelled" if what == "position" else "rotation"
-    travelled, unusual = max(found.travelled, 1e-12), LACK_OF_FIT * found.usual_noise
-    if found.noise > max(WRONG_SHARE * travelled, unusual):
-        share = f"{100 * found.noise / travelled:.2g} % of the {of}"
-        reason = f"{what}: replicates scatter by {few_digits(1e3 * found.noise)} {unit}, {share}"
+    travelled, unusual = max(residuals.travelled, 1e-12), LACK_OF_FIT * residuals.usual_noise
+    if residuals.noise > max(WRONG_SHARE * travelled, unusual):
+        share = f"{100 * residuals.noise / travelled:.2g} % of the {of}"
+        reason = f"{what}: replicates scatter by {few_digits(1e3 * residuals.noise)} {unit}, {share}"
         return WRONG, (f"{reason}: more than wheels that roll; look for slip and a bad reference",)
-    useless = found.held_out > USELESS_SHARE * found.before
-    small = max(LACK_OF_FIT * found.expected, SMALL_SHARE * found.travelled)
-    worst = max(found.after, found.held_out)
+    useless = residuals.held_out > USELESS_SHARE * residuals.before
+    small = max(LACK_OF_FIT * residuals.expected, SMALL_SHARE * residuals.travelled)
+    worst = max(residuals.after, residuals.held_out)
     # a calibrated vehicle leaves nothing to explain: most of what is left is noise, or a small share of its way
-    unexplained = useless and worst > max(math.sqrt(2.0) * found.noise, SMALL_SHARE * travelled)
-    if min(found.noise, found.before) > unusual and unexplained:
-        scatter = f"stretches of the same wheel motion scatter by {few_digits(1e3 * found.noise)} {unit}"
+    unexplained = useless and worst > max(math.sqrt(2.0) * residuals.noise, SMALL_SHARE * travelled)
+    if min(residuals.noise, residuals.before) > unusual and unexplained:
+        scatter = f"stretches of the same wheel motion scatter by {few_digits(1e3 * residuals.noise)} {unit}"
         reason = f"{what}: nothing of {before} is explained, and {scatter}"
         return DOUBTFUL, (f"{reason}: the wheels, or a steering sensor, do not tell how the vehicle moved",)
-    stays = worst > small or found.held_out > WORTH_SHARE * found.before
-    if found.apart and stays and worst <= WRONG_SHARE * travelled:
+    stays = worst > small or residuals.held_out > WORTH_SHARE * residuals.before
+    if residuals.apart and stays and worst <= WRONG_SHARE * travelled:
         return DOUBTFUL, (
-            f"{what}: sessions differ by {few_digits(found.apart, 2)} times what is left within each "
-            f"({1e3 * found.within:.3g} {unit}), and held-out runs end off by {held_out} ({before} before): radii, "
+            f"{what}: sessions differ by {few_digits(residuals.apart, 2)} times what is left within each "
+            f"({1e3 * residuals.within:.3g} {unit}), and held-out runs end off by {held_out} ({before} before): radii, "
             "steering or reference changed in between; calibrate each session by itself, 'calib diagnose' looks for "
             "what changed",
         )
     if worst <= small:
         return CALIBRATED, ()
-    if found.before > small and useless:
+    if residuals.before > small and useless:
         reason = f"{what}: on held-out runs it leaves {held_out} of {before}: these parameters do not explain the error"
         return WRONG, (reason,)
     where = f"{after} on the runs used, {held_out} on held-out runs, noise {noise}"
     if worst > WRONG_SHARE * travelled:
         return WRONG, (f"{what}: the residual is {100 * worst / travelled:.2g} % of the {of} ({where})",)
-    times = few_digits(worst / max(found.expected, 1e-12), 2)
+    times = few_digits(worst / max(residuals.expected, 1e-12), 2)
     return DOUBTFUL, (f"{what}: the residual is {times} times the noise ({where})",)
 
 
@@ -210,7 +209,7 @@ def judged(
     position = of(slice(0, 2), way_m, usual_m, told_m)
     heading = of(slice(2, 3), rotated_rad, usual_rad, told_rad)
     level, reasons = judge(position)
-    level_of_heading, more = judge(heading, "heading", "mrad")
+    level_of_heading, of_heading = judge(heading, "heading", "mrad")
     # a factor that is recognised says by itself that the length is off
     explained = {fault.code for fault in faults} & {"half_track", "radius_factor"}
     impossible = [] if explained else implausible_lengths(fitted, campaign.vehicle.drive)
@@ -218,13 +217,13 @@ def judged(
     large |= np.abs(after[:, 2]) > SMALL_SHARE * rotated_rad
     named = tuple(fault for fault in faults if fault.seen or WRONG not in (level, level_of_heading))
     extra = (*impossible, *_further(fitted, whole, outliers, large, position, heading))
-    if not (named or extra or reasons or more):
+    if not (named or extra or reasons or of_heading):
         runs = whole.recording.run_id[whole.segments.run[used]]
         scatters = (_scatter(after[:, :2], group, used) for group in (alike, by_motion))
         harmed = (_harmed(runs, before[used], after[used], way_m[used], *scatter) for scatter in scatters)
         extra = tuple(islice(chain(*harmed), 1))
     verdicts = (level, level_of_heading, WRONG if named or impossible else DOUBTFUL if extra else CALIBRATED)
-    why = (*(fault.text for fault in named), *extra, *reasons, *more)
+    why = (*(fault.text for fault in named), *extra, *reasons, *of_heading)
     return Judgement(max(verdicts, key=list(GeometryVerdict).index), position, heading, why, named)
 
 

@@ -52,8 +52,8 @@ def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
     if not wanted:
         return campaign
     if missing := wanted - set(kind):
-        found = f"kinds: found {', '.join(sorted(missing))}"
-        raise BadInputError(f"{found}; expected some of {', '.join(sorted(set(kind)))}; correct them")
+        text = f"kinds: found {', '.join(sorted(missing))}"
+        raise BadInputError(f"{text}; expected some of {', '.join(sorted(set(kind)))}; correct them")
     return campaign.select(np.isin(kind, sorted(wanted)))
 
 
@@ -217,10 +217,10 @@ class Promise:
         def scaled(row: Estimate) -> Estimate:
             if row.name not in own.keys() & before.keys():
                 return row
-            found, alone = own[row.name], before[row.name]
-            part, beside = (row.std / alone.std) ** 2, max((found.std / alone.std) ** 2, 1.0)
-            std = found.std * float(np.sqrt(part * (part + (1.0 - part) / beside)))
-            return Estimate.of(row.name, row.nominal, row.value, std, max(found.dof * row.dof / alone.dof, 1.0))
+            actual, alone = own[row.name], before[row.name]
+            part, beside = (row.std / alone.std) ** 2, max((actual.std / alone.std) ** 2, 1.0)
+            std = actual.std * float(np.sqrt(part * (part + (1.0 - part) / beside)))
+            return Estimate.of(row.name, row.nominal, row.value, std, max(actual.dof * row.dof / alone.dof, 1.0))
 
         return replace(self, estimates=tuple(map(scaled, self.estimates)))
 
@@ -347,8 +347,8 @@ def traces_of(campaign: Campaign, geometry: Geometry) -> tuple[RunTrace, ...]:
     recording, _ = corrected(recording, coarse, source, drive_of(campaign, source, recording))
     drive = drive_of(campaign, source, recording)
     nominal = {item.name: item.nominal for item in parameters_of(drive, campaign.reference)}
-    found = geometry.values | {GYRO_SCALE: 1.0}
-    calibrated = np.array([found.get(name, value) for name, value in nominal.items()])
+    values = geometry.values | {GYRO_SCALE: 1.0}
+    calibrated = np.array([values.get(name, value) for name, value in nominal.items()])
     own_delay = {delay.label: delay.value_s - calibrated[-1] for delay in geometry.delays}
     labels = zip(recording.run_id, recording.session, strict=True)
     added = np.array([next((own_delay[name] for name in pair if name in own_delay), 0.0) for pair in labels])

@@ -177,11 +177,11 @@ def _tried(
     ahead, seen = (part[:, 0] + 1j * part[:, 1] for part in (measured - residuals, measured))
     turned = float(np.angle(np.vdot(ahead, seen)))
     stretched = float(np.sum(np.abs(seen)) / max(float(np.sum(np.abs(ahead))), 1e-12))
-    found = dict(zip(parameters.names, values.tolist(), strict=True))
+    by_name = dict(zip(parameters.names, values.tolist(), strict=True))
     near = 1.0 / SAME_LENGTH < stretched < SAME_LENGTH and abs(turned) < SAME_WAY_RAD
     near = near and _near_nominal(campaign, drive, values, PLAUSIBLE_CHANGE)
-    scale = float(np.mean([found[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]))
-    return Trial(share, near, turned, (scale, found.get(drives.STEERING_SCALE, 1.0)))
+    scale = float(np.mean([by_name[item.name] / item.nominal for item in drive.parameters if "radius" in item.name]))
+    return Trial(share, near, turned, (scale, by_name.get(drives.STEERING_SCALE, 1.0)))
 
 
 #: turns of less say little: added to the rotation that heading residuals are relative to

@@ -137,14 +137,14 @@ def front_faults(recording: "Recording", segments: "Segments", radius_m: float, 
     if still := still_steering(steer, segments.between(rolled)[longest], turns[longest], segments.run[longest]):
         return recording, (Fault("steering_still", f"steer_rad: {still}", seen=True),)
     turned = turns[headed]
-    found = straight_reading_rad(
+    zero_rad = straight_reading_rad(
         rolled, steer, turned, lambda steps: segments.between(steps)[headed], by_shaft=by_shaft
     )
-    if abs(found) > 0.0:
-        degrees = f"{found:.3g} rad ({np.degrees(found):.0f} degrees)"
+    if abs(zero_rad) > 0.0:
+        degrees = f"{zero_rad:.3g} rad ({np.degrees(zero_rad):.0f} degrees)"
         text = f"steer_rad: it reads {degrees} where the wheels stand straight ahead; subtract that"
         faults.append(Fault("steering_offset", text))
-        steer = np.angle(np.exp(1j * (steer - found)))
+        steer = np.angle(np.exp(1j * (steer - zero_rad)))
         recording = recording.with_steering(steer)
     ways = (_of_front(rolled, steer) if by_shaft else rolled) * np.stack([np.sin(steer), np.cos(steer)])
     by_ways = segments.between(ways)[:, headed]
@@ -242,8 +242,8 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
         180.0 / np.pi: "degrees taken for radians",
     }.items():
         if abs(ratio / factor - 1.0) < 2.0 * NEAR:
-            found = f"ref_theta_rad: found turns that are {ratio:.3g} times those of the wheels; expected about as much"
-            raise RefusedError(f"{found}; the heading's unit is wrong ({what}): correct it in the mapping or the log")
+            text = f"ref_theta_rad: found turns that are {ratio:.3g} times those of the wheels; expected about as much"
+            raise RefusedError(f"{text}; the heading's unit is wrong ({what}): correct it in the mapping or the log")
 
 
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
@@ -341,12 +341,12 @@ def wheels_faults(recording: "Recording", segments: "Segments", drive: "Drive") 
     if as_it_stands < POOR:
         return recording, ()
     read = ((recording.with_turned(turned[order] * signs[:, None]), fault) for fault, order, signs in _readings())
-    tried = [(left_by(changed), changed, fault) for changed, fault in read]
-    least = min(left for (left, _), *_ in tried)
+    scored = [(left_by(changed), changed, fault) for changed, fault in read]
+    least = min(left for (left, _), *_ in scored)
     if least > CLEARLY_LESS * as_it_stands:
         return recording, ()
     # two readings can differ by half a turn of the sensor alone: the one that turns it less is likelier
-    _, changed, fault = min((one for one in tried if one[0][0] <= ALIKE * least + 1e-9), key=lambda one: one[0][1])
+    _, changed, fault = min((one for one in scored if one[0][0] <= ALIKE * least + 1e-9), key=lambda one: one[0][1])
     return changed, (fault,)
 
 

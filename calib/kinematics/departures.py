@@ -73,15 +73,15 @@ def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] |
 
     `misfit`: the residuals speak against the fit: departures that sound ones need no test for are tried, too.
     """
-    most, found = 0.0, None
+    most, best = 0.0, None
     # beside a delay that nobody estimated, the delay itself looks like a clock
     timed = "delay_s" in fitted.parameters.free_names
     for departure in _departures(fitted.model, timed=timed, misfit=misfit):
         share, size, std = score(fitted, departure)
         clear = abs(size) >= departure.clear * std and size / departure.step > LEAST_SIZE
         if clear and share >= departure.share and share > most:
-            most, found = share, (departure, size)
-    return found
+            most, best = share, (departure, size)
+    return best
 
 
 def hidden_clock(recording: Recording) -> tuple[Departure, float] | None:

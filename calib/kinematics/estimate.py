@@ -91,10 +91,10 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
 
 def _told_by(windows: Geometry, ends: Geometry) -> Geometry:
     # what windows show, such as a clock or a sensor that was moved, hardly shows at ends
-    said = [
+    notes = [
         f"By windows of the recordings the result is {windows.verdict.value}: {why.rstrip('.')}." for why in windows.why
     ]
-    return replace(ends, notes=(*ends.notes, *said[:1]))
+    return replace(ends, notes=(*ends.notes, *notes[:1]))
 
 
 def _estimated(task: "_Task", recording: Recording, *, asked: bool) -> Geometry:
@@ -148,12 +148,12 @@ class _Fit:
     common: Fitted  #: with one delay for all recordings
 
 
-def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) -> _Fit:
+def _fitted(task: _Task, recording: Recording, known: tuple[Fault, ...] = ()) -> _Fit:
     as_read = recording.end_pose
     recording, off = task.with_whole_turns(recording)
     if off and task.way == "end_poses":
         text = f"ref_theta_rad: found the end heading of {', '.join(off)} off by whole turns beside the others; "
-        found = (*found, Fault("heading_turn", f"{text}correct it"))
+        known = (*known, Fault("heading_turn", f"{text}correct it"))
     finer = divisions(recording, task.way)
     coarse = next(finer)
     recording, faults = corrected(recording, coarse, task.source, task.drive(recording))
@@ -187,7 +187,7 @@ def _fitted(task: _Task, recording: Recording, found: tuple[Fault, ...] = ()) ->
             losses = joint_fit.delay_losses(common)
         chosen, delays = _with_own_delays(task, common, losses)
     chosen = _with_own_zeros(task, chosen)
-    geometry = geometry_of(task.campaign, chosen, task.source, task.way, (*found, *faults))
+    geometry = geometry_of(task.campaign, chosen, task.source, task.way, (*known, *faults))
     return _Fit(task, chosen, replace(geometry, delays=delays), common)
 
 
@@ -203,16 +203,16 @@ def _turned_round(fitted: Fitted) -> Fitted | None:
 
 def _without_departure(fit: _Fit) -> Geometry:
     geometry = fit.geometry
-    found = departures.find_departure(fit.fitted, misfit=geometry.misfit)
+    best = departures.find_departure(fit.fitted, misfit=geometry.misfit)
     # a delay that grows looks like several, and they hide it
-    hidden = found is None and bool(geometry.delays)
+    hidden = best is None and bool(geometry.delays)
     if hidden:
-        found = departures.find_departure(fit.common, misfit=geometry.misfit)
-        found = found or departures.hidden_clock(fit.fitted.model.recording)
+        best = departures.find_departure(fit.common, misfit=geometry.misfit)
+        best = best or departures.hidden_clock(fit.fitted.model.recording)
     # where the runs tell no delay, they tell no clock either
-    if found is None or (found[0].named(found[1]).code == "clock_rate" and SENSOR[-1] in geometry.undetermined):
+    if best is None or (best[0].named(best[1]).code == "clock_rate" and SENSOR[-1] in geometry.undetermined):
         return geometry
-    departure, size = found
+    departure, size = best
     size = size if hidden else _refined(fit, departure, size)
     recording = replace(fit.fitted.model.recording, own_delay_s=None)
     for _ in range(SIZE_ROUNDS):
@@ -221,13 +221,13 @@ def _without_departure(fit: _Fit) -> Geometry:
         except (RefusedError, np.linalg.LinAlgError):
             return geometry
         still = departures.hidden_clock(other.fitted.model.recording) if hidden and other.geometry.delays else None
-        more = still[1] if still else departures.score(other.fitted, departure)[1]
+        step = still[1] if still else departures.score(other.fitted, departure)[1]
         corrected, most = other.geometry, min(abs(size), departures.LARGEST_SIZE * abs(departure.step))
-        settled = abs(more) < SIZE_FOUND * abs(size) <= SIZE_FOUND * most
+        settled = abs(step) < SIZE_FOUND * abs(size) <= SIZE_FOUND * most
         # near its size, and something else is left all the same; delays that it leaves are what it hid behind
-        if (settled and still is None) or (corrected.misfit and geometry.misfit and abs(more) < 0.5 * abs(size)):
+        if (settled and still is None) or (corrected.misfit and geometry.misfit and abs(step) < 0.5 * abs(size)):
             break
-        size += more
+        size += step
     explained = departure.share or (geometry.misfit and not corrected.misfit)
     moved = any(abs(corrected.values[one.name] - one.value) > one.half_width for one in geometry.estimates)
     if not (settled and (explained or moved)) or (corrected.misfit and geometry.misfit):
@@ -248,8 +248,8 @@ def _refined(fit: _Fit, departure: departures.Departure, size: float) -> float:
         changed = departure.change(model.recording, size)
         segments = departures.remeasured(model.segments, model.recording.reference, changed.reference)
         start = fit.task.fit(model.drive, changed, segments, start)
-        size += (more := departures.score(start, departure)[1])
-        if not abs(more) >= SIZE_FOUND * abs(size):
+        size += (step := departures.score(start, departure)[1])
+        if not abs(step) >= SIZE_FOUND * abs(size):
             break
     return size
 
@@ -267,10 +267,10 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
             other, _ = replace(task, campaign=campaign).with_whole_turns(other)
         return next(divisions(other, task.way))
 
-    found = blunder_search.find_blunder(task.campaign, recording, task.source, divided)
-    if found is None:
+    correction = blunder_search.find_blunder(task.campaign, recording, task.source, divided)
+    if correction is None:
         return None
-    campaign, corrected, blunder = found
+    campaign, corrected, blunder = correction
     # of skid steering: no blunder, the fit needed a wide track to begin with
     wide = campaign.vehicle.drive == "skid" and blunder.code == "half_track"
     try:
@@ -338,11 +338,11 @@ def _transfer(
     rows = []
     for label in stepped(dict.fromkeys(labels), progress, "held out in turn"):
         parts = (campaign.select((labels == label) == held) for held in (False, True))
-        kept, tried = (recording_of(part, whole.source) for part in parts)
+        kept, held_out = (recording_of(part, whole.source) for part in parts)
         drive = drive_of(campaign, whole.source, kept)
         fitted = fit_parameters(campaign, drive, kept, next(divisions(kept, whole.using)), sensor)
-        model = Model(fitted.model.drive, tried, end_pose_segments(tried))
+        model = Model(fitted.model.drive, held_out, end_pose_segments(held_out))
         vehicles = (fitted.parameters.nominal, fitted.solution.values)
         before, after = (rms(model.residuals(values)[:, :2]) for values in vehicles)
-        rows.append(Transfer(str(label), len(tried), before, after))
+        rows.append(Transfer(str(label), len(held_out), before, after))
     return tuple(rows)

@@ -128,8 +128,8 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
         pieces.append(piece)
         block += n_blocks
     if not sum(piece.shape[1] for piece in pieces):
-        found = "windows: found no reference along the path"
-        raise RefusedError(f"{found}; expected ref_x_m, ref_y_m, ref_theta_rad in logs; use end poses instead")
+        text = "windows: found no reference along the path"
+        raise RefusedError(f"{text}; expected ref_x_m, ref_y_m, ref_theta_rad in logs; use end poses instead")
     run_of, first, last, block_of, level_of, *around = np.concatenate(pieces, axis=1)
     no_gyro, course = np.zeros(len(first), dtype=np.bool_), by_course[run_of]
     chords = np.stack(around, axis=1) if course.any() else None

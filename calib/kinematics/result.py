@@ -228,8 +228,8 @@ class Geometry(Result):
     def with_wide_track(self, stated_m: float, fault: Fault) -> "Geometry":
         """Return the result beside the stated track, with the fault where no skid steering makes it so wide."""
         rows = (replace(row, nominal=stated_m) if row.name == "track_m" else row for row in self.estimates)
-        found = replace(self, estimates=tuple(rows))
-        return self.doubted(fault) if implausible("track_m", found.values["track_m"] / stated_m, 1.0, "skid") else found
+        wide = replace(self, estimates=tuple(rows))
+        return self.doubted(fault) if implausible("track_m", wide.values["track_m"] / stated_m, 1.0, "skid") else wide
 
     @property
     def table(self) -> "DataFrame":
@@ -259,8 +259,8 @@ class Geometry(Result):
     @property
     def scaled(self) -> tuple[Estimate, ...]:
         """Radii and track where they rest on the nominal mean radius, as of paths that close; else none."""
-        found = tuple(one for one in self.estimates if one.name in {"radius_left_m", "radius_right_m", "track_m"})
-        return found if MEAN_RADIUS in self.undetermined and sum("radius" in one.name for one in found) == 2 else ()
+        lengths = tuple(one for one in self.estimates if one.name in {"radius_left_m", "radius_right_m", "track_m"})
+        return lengths if MEAN_RADIUS in self.undetermined and sum("radius" in one.name for one in lengths) == 2 else ()
 
     @property
     def ratios(self) -> tuple[Estimate, ...]:

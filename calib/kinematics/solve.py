@@ -341,7 +341,7 @@ def _weights(white: FloatArray, size: IntArray) -> tuple[FloatArray, FloatArray]
 
 def _advance(
     model: Model,
-    here: tuple[FloatArray, Prediction],
+    start: tuple[FloatArray, Prediction],
     step: FloatArray,
     least_part: float,
     whitener: FloatArray,
@@ -353,12 +353,12 @@ def _advance(
         squares = _weights(_whitened(whitener, residuals.T), size)[1]
         return float(np.sum(0.5 * (DEGREES + size) * np.log1p(squares / DEGREES))) + nominal(values)[2]
 
-    part, most = 1.0, loss(here[0], here[1].residuals) * (1.0 + 1e-12)
+    part, most = 1.0, loss(start[0], start[1].residuals) * (1.0 + 1e-12)
     while part == 1.0 or part >= least_part:
-        tried = here[0] + part * step
-        prediction = model.predict(tried) if part == 1.0 else None
-        if loss(tried, prediction.residuals if prediction else model.residuals(tried)) <= most:
-            return tried, prediction or model.predict(tried)
+        trial = start[0] + part * step
+        prediction = model.predict(trial) if part == 1.0 else None
+        if loss(trial, prediction.residuals if prediction else model.residuals(trial)) <= most:
+            return trial, prediction or model.predict(trial)
         part *= 0.4
     return None
 

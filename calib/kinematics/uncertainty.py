@@ -333,8 +333,8 @@ def left_within(solution: Solution, free: BoolArray, segments: Segments, labels:
     if squares > 0.0:
         # axes turned alike in all sessions are no difference between them
         _, together, rank = _least_squares(white[enough], white_residuals[enough])
-        more = int(segments.seen[enough].sum()) - rank - dof
-        if more > 0 and fdtrc(more, dof, (together - squares) / more / (squares / dof)) <= SESSIONS_CHANCE:
+        freed = int(segments.seen[enough].sum()) - rank - dof
+        if freed > 0 and fdtrc(freed, dof, (together - squares) / freed / (squares / dof)) <= SESSIONS_CHANCE:
             position, heading = np.sqrt(left / np.maximum(n_segments, 1.0))
             return float(position), float(heading)
     return np.inf, np.inf
@@ -374,9 +374,9 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
         group = np.unique(labels, return_inverse=True)[1][run]
         apart = name == "session" and left_within(solution, free, segments, recording.session)[0] < np.inf
         if len(np.unique(group)) >= FEWEST_CLUSTERS and (apart or _alike(scores, group) > ALIKE):
-            tried = sandwich(solution, free, group[block], name, directions=own)
-            if best.by == alone or _width(tried) > _width(best):
-                best = tried
+            candidate = sandwich(solution, free, group[block], name, directions=own)
+            if best.by == alone or _width(candidate) > _width(best):
+                best = candidate
     if alone == "block":
         return best
     least = np.sqrt(np.diag(_by_information(solution, free)))
