@@ -260,9 +260,9 @@ class Steps:
             takes_part = part != 0.0
             if np.count_nonzero(takes_part) * SPARSE_SHARE < len(part):
                 # a place on the floor, a stop: most steps have no part in it
-                there = np.flatnonzero(takes_part)
-                some, unit = by_step.take(there, axis=1) * part[there], s.unit[there]
-                for number, values in zip(sums, some, strict=True):
+                index = np.flatnonzero(takes_part)
+                weighted, unit = by_step.take(index, axis=1) * part[index], s.unit[index]
+                for number, values in zip(sums, weighted, strict=True):
                     summed[number] += np.bincount(unit, values, len(s))
             else:
                 summed[list(sums)] += np.add.reduceat(by_step * part, s.starts[:-1], axis=1)

@@ -34,14 +34,14 @@ UNSEEN: Final = 0.9
 def applied_model(
     diagnosis: Diagnosis,
     campaign: Campaign,
-    given: Sequence[EffectSection] = (),
+    effects: Sequence[EffectSection] = (),
     believed: CoefficientFile | None = None,
 ) -> CoefficientFile:
     """Return the campaign's model with the named causes added, as a coefficient file; refused where none is named.
 
     The fitted recalibration goes into radii and track, a load effect into the slopes of the law; others are written by
     id, form, settings and parameters, which `model_of` and `with_effects` of `calib.gap.effects.library` take back. The
-    diagnosed model's own (`given`) are kept, and of its file (`believed`) what is known of slopes that no load effect
+    diagnosed model's own (`effects`) are kept, and of its file (`believed`) what is known of slopes that no load effect
     changes: their uncertainty, scatter of runs and range.
     """
     if not diagnosis.causes:
@@ -82,7 +82,7 @@ def applied_model(
         campaign.encoder,
         Header(campaign.name, campaign.simulated, inputs=campaign.hashes),
         load_table=load_points(*observations.loads_N),
-        effects=[*given, *sections],
+        effects=[*effects, *sections],
         noise=PoseNoise(track_std_m=per_track * float(np.sqrt(covariance[4, 4]))),
     ).calibrated(track=per_track * track_m)
     if kept is not None:
@@ -92,8 +92,8 @@ def applied_model(
     sizes = matrix @ (left.radius_ref_m, left.slope_m_per_N, right.radius_ref_m, right.slope_m_per_N, track_m)
     spread = matrix @ covariance @ matrix.T
     known = np.flatnonzero(np.diag(spread))
-    found, determined = dict(zip(names, sizes.tolist(), strict=True)), [names[k] for k in known]
-    together = joint_section(file.vehicle.drive, source, found | lengths, determined, spread[np.ix_(known, known)])
+    by_name, determined = dict(zip(names, sizes.tolist(), strict=True)), [names[k] for k in known]
+    together = joint_section(file.vehicle.drive, source, by_name | lengths, determined, spread[np.ix_(known, known)])
     if source == "rear":
         shared = Quantity.of(value=float(scatter[0, 1]), unit="m^2")
         together = together.model_copy(update={"run_covariance": shared})

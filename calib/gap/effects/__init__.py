@@ -205,13 +205,13 @@ class Effect(ABC):
 
 def forms_on(observations: Observations, effects: Mapping[str, Effect], wanted: Sequence[Form]) -> list[Form | None]:
     """Return forms as other observations offer them, about the same centre; None for what they lack."""
-    found: list[Form | None] = []
+    matches: list[Form | None] = []
     for form in wanted:
         offered = effects[form.effect].forms(observations) if form.effect in effects else []
         alike = [each for each in offered if len(each.parameters) == len(form.parameters)]
         nearest = matching_form(alike, form.label, form.settings)
-        found.append(nearest and nearest.centred_at(form.centre))
-    return found
+        matches.append(nearest and nearest.centred_at(form.centre))
+    return matches
 
 
 def matching_form(forms: Sequence[Form], label: str, settings: Mapping[str, float]) -> Form | None:
@@ -241,16 +241,16 @@ def acting_on(path: Path, target: str, values: FloatArray) -> Perturbation:
     `target`: ``left``, ``right``, ``both``, ``difference`` (half on each, left negative) and ``track`` are relative
     changes, ``yaw`` is in rad per metre, ``distance`` in m of the laser's distance.
     """
-    here = path.s.here(values)
+    on_path = path.s.here(values)
     if target == "distance":
-        return Perturbation.on_readings(path.s, distance=here)
+        return Perturbation.on_readings(path.s, distance=on_path)
     if target == "yaw":
-        return Perturbation(heading_rad=here[path.s.unit] * path.s.path_m)
+        return Perturbation(heading_rad=on_path[path.s.unit] * path.s.path_m)
     if target == "track":
-        return Perturbation(track=here)
+        return Perturbation(track=on_path)
     if target == "difference":
-        return Perturbation(left=-0.5 * here, right=0.5 * here)
-    return Perturbation(left=None if target == "right" else here, right=None if target == "left" else here)
+        return Perturbation(left=-0.5 * on_path, right=0.5 * on_path)
+    return Perturbation(left=None if target == "right" else on_path, right=None if target == "left" else on_path)
 
 
 class Proportional(Effect):

@@ -130,8 +130,8 @@ def library(observations: Observations, *, exclude: Collection[str] = (), declar
     registered, covariates, own = _all(observations, declared)
     taken = {column for effect in own if effect.id not in exclude for column in effect.columns}
     # a counted drive shaft tells what the load does to both wheels' mean
-    told = Family.LOAD if observations.by_shaft else None
-    hidden = [e for e in registered if observations.by_front and e.of_rear_wheels and e.family != told]
+    family = Family.LOAD if observations.by_shaft else None
+    hidden = [e for e in registered if observations.by_front and e.of_rear_wheels and e.family != family]
     searched = [e for e in registered if not (e.found_before_search or e in hidden)]
     candidates = [*searched, *(effect for effect in covariates if effect.column not in taken), *own]
     return [effect for effect in candidates if effect.id not in exclude]
@@ -303,8 +303,8 @@ def beyond_law(path: FilePath | str, observations: Observations) -> tuple[str, .
     from calib.coefficients.file import load_coefficients
 
     file = load_coefficients(path)
-    said = "wheel loads lie outside the valid range of the model: its law is extended to them"
-    return (f"{said} (on a vehicle: {file.outside})",) * (not within_law(file.law, *observations.loads_N).all())
+    text = "wheel loads lie outside the valid range of the model: its law is extended to them"
+    return (f"{text} (on a vehicle: {file.outside})",) * (not within_law(file.law, *observations.loads_N).all())
 
 
 def _delay_of(file: "CoefficientFile") -> "tuple[EffectSection, ...]":

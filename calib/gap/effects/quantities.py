@@ -345,13 +345,13 @@ def _validated(table: object, where: str) -> _Entry:
     try:
         return _Entry.model_validate(table)
     except ValidationError as error:
-        key, found, expected = first_fault(error)
+        key, actual, expected = first_fault(error)
         remedy = f"its keys are {', '.join(_Entry.model_fields)}; sizes are per unit"
-        raise BadFileError("campaign.toml", found[:60], expected, remedy, column=f"{where}.{key}") from error
+        raise BadFileError("campaign.toml", actual[:60], expected, remedy, column=f"{where}.{key}") from error
 
 
-def _wrong(key: str, found: object, expected: str, remedy: str) -> BadFileError:
-    return BadFileError("campaign.toml", column=key, found=repr(found)[:60], expected=expected, remedy=remedy)
+def _wrong(key: str, actual: object, expected: str, remedy: str) -> BadFileError:
+    return BadFileError("campaign.toml", column=key, found=repr(actual)[:60], expected=expected, remedy=remedy)
 
 
 def entry_point_effects(taken: Collection[str], points: Sequence[EntryPoint] | None = None) -> list[Effect]:

@@ -135,21 +135,21 @@ class WheelMotion:
         unmoved = np.zeros((len(change), 3)), change
         best, whole = unmoved, self._squares(change).sum()
         for number, basis in enumerate(self.together):
-            found = self._sought(change, unmoved, basis, both_ways)
-            square = self._squares(found[1]).sum()
+            split = self._sought(change, unmoved, basis, both_ways)
+            square = self._squares(split[1]).sum()
             if self.noisy and chdtrc(int(self.on.sum()), square) > _NOISE_TAIL:
-                best = found[0], np.zeros_like(change)
+                best = split[0], np.zeros_like(change)
                 break
             if not self.noisy and square < _ALL_BUT * whole:
-                best = found
+                best = split
                 break
             if number == 0 and square < basis.enough * whole:
-                best = found
+                best = split
         else:
             for basis in self.by_run if self._squares(best[1]).sum() > _ALL_BUT * whole else ():
-                found = self._sought(change, best, basis, both_ways)
-                good = (self._squares(found[1]) < basis.enough * self._squares(best[1]))[:, None]
-                best = np.where(good, found[0], best[0]), np.where(good, found[1], best[1])
+                split = self._sought(change, best, basis, both_ways)
+                good = (self._squares(split[1]) < basis.enough * self._squares(best[1]))[:, None]
+                best = np.where(good, split[0], best[0]), np.where(good, split[1], best[1])
         labels = tuple(self.nominal.s.labels["run_id"])
         return Carried(labels, best[0] / step, np.where(self.on, best[1], 0.0) / step)
 
@@ -229,7 +229,7 @@ class HeldCalibration(Effect):
         """See `Effect`."""
         forms = self.effect.forms(observations)
         signed = [[replace(one, sign=self.sign or one.sign) for one in form.parameters] for form in forms]
-        return [replace(form, parameters=tuple(some)) for form, some in zip(forms, signed, strict=True)]
+        return [replace(form, parameters=tuple(group)) for form, group in zip(forms, signed, strict=True)]
 
 
 def without_forms(effect: Effect, labels: Sequence[str]) -> Effect:

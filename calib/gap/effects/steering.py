@@ -74,8 +74,10 @@ def angle_error(observations: Observations, error_rad: FloatArray, exact_at: flo
         return excess(part, travel_m * ahead, travel_m * turn / part.vehicle.wheelbase_m)
 
     edges = observations.starts
-    some = ((units, error_rad[edges[units.start] : edges[units.stop]]) for units in observations.spans)
-    return joined_perturbation(observations, ((units, acts(observations.part(units), error)) for units, error in some))
+    errors = ((units, error_rad[edges[units.start] : edges[units.stop]]) for units in observations.spans)
+    return joined_perturbation(
+        observations, ((units, acts(observations.part(units), error)) for units, error in errors)
+    )
 
 
 class SteeringZero(Effect):

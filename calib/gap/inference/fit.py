@@ -311,8 +311,8 @@ def signatures_by_part(path: Path, forms: Sequence[Form]) -> Iterator[tuple[int,
             yield number, slice(0, len(path.s)), columns(path, form, pushes)
     for units, part in path.parts() if along_path else ():
         for number, form, pushes in along_path:
-            some = form.perturbations(part) if form.by_parts else [push.part(units, path.s) for push in pushes]
-            yield number, units, columns(part, form, some)
+            changes = form.perturbations(part) if form.by_parts else [push.part(units, path.s) for push in pushes]
+            yield number, units, columns(part, form, changes)
 
 
 def undetermined(parameters: Sequence[Parameter], sizes: FloatArray, half_width: FloatArray) -> tuple[str, ...]:

@@ -168,11 +168,11 @@ def continuation_start(system: LinearSystem) -> Fitted:
         if system.fitted is not fitted:
             system = LinearSystem(fitted, nominal, noise, system.forms)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            tried = _worth_trying(system)
-            first = [fit(nominal, noise, (*fitted.forms, form), start=fitted, steps=1) for form, _ in tried]
+            candidates = _worth_trying(system)
+            first = [fit(nominal, noise, (*fitted.forms, form), start=fitted, steps=1) for form, _ in candidates]
             second = [
                 one if _settled(one.chi_square, promised) else further(one, _FIRST_STEPS - 1)
-                for one, (_, promised) in zip(first, tried, strict=True)
+                for one, (_, promised) in zip(first, candidates, strict=True)
             ]
             least = min((trial.chi_square for trial in second), default=0.0)
             trials: list[Fitted] = []
@@ -197,7 +197,7 @@ def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
     fitted = system.fitted
     effects = {form.effect for form in fitted.forms}
     beside = system.columns_of(system.numbers(fitted.forms))
-    tried = []
+    candidates = []
     for number, form in enumerate(system.forms):
         if form.effect in effects:
             continue
@@ -207,8 +207,8 @@ def _worth_trying(system: LinearSystem) -> list[tuple[Form, float]]:
         solved = np.linalg.solve(normal / np.outer(root, root) + 1e-11 * np.eye(len(root)), right / root)
         left = float(system.gap @ system.gap - solved @ (right / root))
         if left <= _MAX_LINEAR_SHARE * fitted.chi_square:
-            tried.append((form, left))
-    return tried
+            candidates.append((form, left))
+    return candidates
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -329,12 +329,12 @@ def _step(before: Fitted, after: Fitted) -> float:
     return float(np.abs((new - old) / np.sqrt(np.diag(after.covariance))).max())
 
 
-def _best_alternative(found: _Found, settle: _Settle, weigh: _Weigh) -> _Found:
+def _best_alternative(start: _Found, settle: _Settle, weigh: _Weigh) -> _Found:
     """Return the best of a set and of likely ones with one effect replaced, each about its own path.
 
     In a large gap linearising about another's path errs by more than evidence weighs.
     """
-    best, (local, fitted, weighed) = found, found
+    best, (local, fitted, weighed) = start, start
     own, total = set(local.current_effects), weighed.probability.sum(axis=0)
     least = total[weighed.models.index(local.current)] * np.exp(-_LIKELY_WINDOW)
     likely = [weighed.models[int(n)] for n in np.argsort(-total) if total[n] > least]
@@ -343,8 +343,8 @@ def _best_alternative(found: _Found, settle: _Settle, weigh: _Weigh) -> _Found:
         model for model, names in zip(likely, named, strict=True) if len(names) == len(own) == len(own & names) + 1
     ]
     for other in others[:_SINGLE_STARTS]:
-        here = local.with_current(other)
-        linear, moved = here.evidence(), settle(here, fitted)
+        system = local.with_current(other)
+        linear, moved = system.evidence(), settle(system, fitted)
         for _ in range(_MAX_FORM_CHANGES):
             if moved is None:
                 break

@@ -156,9 +156,9 @@ def weigh_subsets(
         fixed.append(system.of(number) * max(effect_scale(size, form), MIN_EFFECT_SD))
         deviations[:, place] = TOLERANCE * contribution
         looks_like = [NAMES.index(name) for name in shifts.get(form.effect, ())]
-        of_both = covariance[np.ix_([0, 1, 2, first], [0, 1, 2, first])]
+        joint = covariance[np.ix_([0, 1, 2, first], [0, 1, 2, first])]
         first += len(size)
-        if looks_like and not _reaches(form, OF_WHEELS[looks_like[0]], size[0], values[looks_like[0]], of_both):
+        if looks_like and not _reaches(form, OF_WHEELS[looks_like[0]], size[0], values[looks_like[0]], joint):
             continue
         fixed.append((directions / norm)[:, looks_like] * (ATTRIBUTED_SHIFT_SHARE * np.sqrt((contribution**2).sum())))
     ways = np.concatenate([DIRECTIONS, np.eye(4)[:2]])

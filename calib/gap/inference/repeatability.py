@@ -124,7 +124,7 @@ class ScaleLikelihood:
     def solved(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray, float]:
         """Return residual (n, 6), kept (n, 6, 6) of each whitened unit, and the cost's middle term."""
         k, grouped, columns, n_own = self.k, self.grouped, whitener @ self.columns, N_GROUP_COLUMNS
-        x, rest = columns[:, :, :n_own], columns[:, :, n_own:]
+        x, shared = columns[:, :, :n_own], columns[:, :, n_own:]
         gram = grouped.summed(x.transpose(0, 2, 1) @ columns)
         inner = gram[:, :, :n_own] + np.diag(self.prior)
         root = np.sqrt(np.diagonal(inner, axis1=1, axis2=2))
@@ -133,8 +133,8 @@ class ScaleLikelihood:
         factors = np.linalg.inv(lower) / root[:, None, :]
         taken = factors @ gram[:, :, n_own:]
         own = x @ factors.transpose(0, 2, 1)[grouped.group]
-        residual, kept = rest - own @ taken[grouped.group], np.eye(6) - own @ own.transpose(0, 2, 1)
-        flat, taken = rest.reshape(-1, k + 1), taken.reshape(-1, k + 1)
+        residual, kept = shared - own @ taken[grouped.group], np.eye(6) - own @ own.transpose(0, 2, 1)
+        flat, taken = shared.reshape(-1, k + 1), taken.reshape(-1, k + 1)
         dense = flat.T @ flat - taken.T @ taken
         g, square = residual[:, :, -1], float(dense[k, k])
         if k:

@@ -291,8 +291,8 @@ def find_places(
                     candidates.append(stretch[0])
                     n_tests += stretch[1]
     corrected = (replace(place, p_value=min(1.0, place.p_value * max(n_tests, 1))) for place in candidates)
-    found = [place for place in corrected if place.p_value <= FALSE_FINDING_PROBABILITY]
-    return tuple(sorted(found, key=lambda place: place.p_value)), tuple(notes)
+    significant = [place for place in corrected if place.p_value <= FALSE_FINDING_PROBABILITY]
+    return tuple(sorted(significant, key=lambda place: place.p_value)), tuple(notes)
 
 
 def compare_windows(traces: list[Trace]) -> list[PlaceResult]:

@@ -137,8 +137,8 @@ def locate(
     observations, lines = nominal.s, _tested(nominal, noise, gap, rng)
     places, notes = find_places(campaign, observations, rng)
     channels, runs = _by_channel(observations, floor, gap), by_run(observations, floor, gap)
-    rest = GapLocation(covariates=_tested(nominal, noise, left, rng))
-    return GapLocation(channels=channels, covariates=lines, runs=runs, places=places, notes=notes, rest=rest)
+    unexplained = GapLocation(covariates=_tested(nominal, noise, left, rng))
+    return GapLocation(channels=channels, covariates=lines, runs=runs, places=places, notes=notes, rest=unexplained)
 
 
 def _tested(nominal: Path, noise: Noise, gap: FloatArray, rng: np.random.Generator) -> tuple[CovariateResult, ...]:
@@ -243,17 +243,17 @@ def covariate_test(
     `scaled` (n_units, n_channels): gap over noise level, NaN where a unit lacks the channel; `weights` (n_draws,
     n_units): how often the bootstrap draws each; `most_dof`: of the noise level; see `covariate_values`.
     """
-    found = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
-    if not found:
+    dependences = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
+    if not dependences:
         return None
-    p_values = [dependence.p_value(most_dof) for _, dependence in found]
-    channel, dependence = found[int(np.argmin(p_values))]
+    p_values = [dependence.p_value(most_dof) for _, dependence in dependences]
+    channel, dependence = dependences[int(np.argmin(p_values))]
     return CovariateResult(
         name=name,
         channel=channel,
         share=float(dependence.shares(np.ones((1, len(dependence.y))))[0]),
         ci95=interval(dependence.shares(weights[:, dependence.on])),
-        p_value=float(min(1.0, min(p_values) * len(found))),
+        p_value=float(min(1.0, min(p_values) * len(dependences))),
         significant=False,
         n_units=int(dependence.on.sum()),
     )

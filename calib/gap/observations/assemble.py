@@ -244,12 +244,12 @@ def _numbers(
 def _carried_N(units: Sequence[Observation], steps: WheelTravel, numbers: dict[str, FloatArray]) -> FloatArray | None:
     if all(u.load_left_N is None and u.load_right_N is None for u in units):
         return None
-    found = []
+    loads_N = []
     for name, way_m in zip(WHEEL_LOADS, (steps.left_m, steps.right_m), strict=True):
         logged, weight = _of_steps(units, name, _ends), np.maximum(np.abs(way_m), 1e-12)
-        found.append(np.where(np.isnan(logged), np.repeat(numbers[name], np.diff(steps.starts)), logged))
-        numbers[name] = steps.total(weight * found[-1]) / steps.total(weight)
-    return np.stack(found, axis=1)
+        loads_N.append(np.where(np.isnan(logged), np.repeat(numbers[name], np.diff(steps.starts)), logged))
+        numbers[name] = steps.total(weight * loads_N[-1]) / steps.total(weight)
+    return np.stack(loads_N, axis=1)
 
 
 def _filled(name: str, values: FloatArray, session: StrArray, run_id: StrArray, remarks: list[str]) -> FloatArray:

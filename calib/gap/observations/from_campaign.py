@@ -187,8 +187,8 @@ def with_known_loads(campaign: Campaign) -> tuple[Campaign, str]:
     if not lacking.any() or not varied or without_rear_wheels(campaign):
         return campaign, ""
     named = f" Omitted are {lacking.sum()} runs without wheel loads or a payload ({listed(runs.run_id[lacking])})"
-    said = f"{named}, since the loads measured vary: state them, or payload_kg = 0 where unladen."
-    return replace(campaign, runs=replace(runs, excluded=runs.excluded | lacking)), said
+    note = f"{named}, since the loads measured vary: state them, or payload_kg = 0 where unladen."
+    return replace(campaign, runs=replace(runs, excluded=runs.excluded | lacking)), note
 
 
 def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[tuple[FloatArray, FloatArray] | None]:

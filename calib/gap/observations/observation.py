@@ -179,9 +179,9 @@ class CourseOverGround(ReferencePoses):
 
         In a curve a sensor elsewhere, or a late one, moves along another course.
         """
-        here = self.travelled_m[number]
-        first = int(np.searchsorted(self.travelled_m, here - 0.5 * self.way_m, side="right")) - 1
-        last = int(np.searchsorted(self.travelled_m, here + 0.5 * self.way_m))
+        at_m = self.travelled_m[number]
+        first = int(np.searchsorted(self.travelled_m, at_m - 0.5 * self.way_m, side="right")) - 1
+        last = int(np.searchsorted(self.travelled_m, at_m + 0.5 * self.way_m))
         first, last = max(first, 0), min(last, len(self.travelled_m) - 1)
         if first == 0:
             last = max(last, min(int(np.searchsorted(self.travelled_m, self.way_m)), len(self.travelled_m) - 1))
@@ -221,21 +221,21 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     if not {"ref_x_m", "ref_y_m"} <= log.keys():
         return None
     all_rows = log_rows(log)
-    there = np.isfinite(log["ref_x_m"][all_rows]) & np.isfinite(log["ref_y_m"][all_rows])
+    valid = np.isfinite(log["ref_x_m"][all_rows]) & np.isfinite(log["ref_y_m"][all_rows])
     heading = log.get("ref_theta_rad")
     if heading is not None:
-        with_heading = there & np.isfinite(heading[all_rows])
-        whole = with_heading.sum() >= min(MIN_POSES, max(2, there.sum()))
-        heading, there = (heading, with_heading) if whole else (None, there)
-    if len(rows := all_rows[there]) < (MIN_POSES if heading is None else 2):
+        with_heading = valid & np.isfinite(heading[all_rows])
+        whole = with_heading.sum() >= min(MIN_POSES, max(2, valid.sum()))
+        heading, valid = (heading, with_heading) if whole else (None, valid)
+    if len(rows := all_rows[valid]) < (MIN_POSES if heading is None else 2):
         return None
     left = log["counts_left"][all_rows] / per_rad[0] * model.radius_left_m
     right = log["counts_right"][all_rows] / per_rad[1] * model.radius_right_m
-    travelled = np.concatenate(([0.0], np.cumsum(0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right))))))[there]
+    travelled = np.concatenate(([0.0], np.cumsum(0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right))))))[valid]
     seen = np.stack([log["ref_x_m"][rows], log["ref_y_m"][rows]], axis=1)
     if heading is None:
         way = max(1.5 * model.track_m, COURSE_SIGMAS * reference.sigma_xy_m)
-        by_wheels = _by_wheels(left, right, model.track_m)[there]
+        by_wheels = _by_wheels(left, right, model.track_m)[valid]
         lasts_s = np.gradient(log["t_s"][rows]) if "t_s" in log else np.full(len(rows), np.inf)
         # in the frame of its start a sensor on the axle needs no heading
         on_axle = (reference.sensor_x_m, reference.sensor_y_m) == (0.0, 0.0)
@@ -252,7 +252,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
             sigma_xy_m=reference.sigma_xy_m,
             way_m=min(way, COURSE_SHARE * float(travelled[-1])),
         )
-    turned = _by_wheels(left, right, model.track_m)[there, 2] if len(rows) < MIN_POSES else 0.0
+    turned = _by_wheels(left, right, model.track_m)[valid, 2] if len(rows) < MIN_POSES else 0.0
     of_sensor = np.column_stack([seen, turned + np.unwrap(heading[rows] - turned)])
     begins_there = not setup.in_map and travelled[0] <= reference.sigma_xy_m and _begins_at_place(of_sensor, reference)
     poses = poses_of_vehicle(of_sensor, reference, in_map=setup.in_map or begins_there)

@@ -90,9 +90,9 @@ def sizes_on(offered: Mapping[str, Sequence[Form]], fitted: Fitted) -> list[tupl
     for form, theta, _ in fitted.each():
         forms = offered.get(form.effect, ())
         alike = [each for each in forms if len(each.parameters) == len(form.parameters)]
-        if here := matching_form(forms, form.label, form.settings) or next(iter(alike), None):
+        if matching := matching_form(forms, form.label, form.settings) or next(iter(alike), None):
             known = {parameter.name: float(value) for parameter, value in zip(form.parameters, theta, strict=True)}
-            sizes.append((here, np.array([known.get(parameter.name, 0.0) for parameter in here.parameters])))
+            sizes.append((matching, np.array([known.get(parameter.name, 0.0) for parameter in matching.parameters])))
     return sizes
 
 
@@ -247,11 +247,11 @@ def undetectable(
 
     `never` where the runs excite nothing, or a recalibration absorbs all. Known `forms` are not built again.
     """
-    limits, found = _Limits(system.calibration, system.columns), []
+    limits, results = _Limits(system.calibration, system.columns), []
     for effect in effects:
         offered = effect.forms(system.path.s) if forms is None or effect.calibration else forms.get(effect.id, ())
-        found.append(limits.of(effect, offered))
-    return tuple(limit for times, limit in found if times > 1.0)
+        results.append(limits.of(effect, offered))
+    return tuple(limit for times, limit in results if times > 1.0)
 
 
 class _Limits:
@@ -309,15 +309,15 @@ class Task:
         order = np.argsort(-(np.minimum(after, CAP_SD) - np.minimum(before, CAP_SD)))[:MOST_NAMED]
         return [int(k) for k in order if after[k] > before[k] + NOTEWORTHY_SD]
 
-    def why(self, before: FloatArray, after: FloatArray, told: FloatArray) -> str:
-        """Return what a run tells apart or shows, or begins to where the next go on to distances `told`."""
+    def why(self, before: FloatArray, after: FloatArray, distances: FloatArray) -> str:
+        """Return what a run tells apart or shows, or begins to where the next go on to `distances`."""
         gains, parts = self.gains(before, after), list[str]()
         if not self.tied:
             new = [k for k in gains if before[k] < SEPARATION_SD]
             clear = [k for k in new if after[k] >= SEPARATION_SD]
             shown = f"shows {', '.join(self.names[k] for k in clear or new or gains)}{' better' * (not clear)}"
             return shown if gains else ""
-        for k in (k for k in gains if told[k] >= SEPARATION_SD):
+        for k in (k for k in gains if distances[k] >= SEPARATION_SD):
             tells, surely = after[k] >= SEPARATION_SD, " more surely" * bool(before[k] >= SEPARATION_SD)
             parts.append(f"{'tells' if tells else 'begins to tell'} {self.names[k]}{surely}")
         return ", ".join(parts)
@@ -332,7 +332,7 @@ def tied(apart: Apart, number: IntArray, counts: IntArray, ties: Sequence[Sequen
 
     def of(sets: Sequence[Sequence[int]]) -> FloatArray:
         every = [
-            min((near[one] for some, near in each if one in near and own & {*some}), default=CAP_SD)
+            min((near[one] for group, near in each if one in near and own & {*group}), default=CAP_SD)
             for chosen in sets
             for each in [apart(driven + counts[number] * np.isin(number, chosen))]
             for own, one in pairs

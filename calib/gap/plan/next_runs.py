@@ -99,9 +99,9 @@ def next_runs(
     if not (candidates := _candidates(driven, measured, dimensions, ties) if candidates is None else candidates):
         return []
     # the unladen run comes first; where nothing shows the noise so far, one repeat more does
-    more, unladen = int(noise.dof <= 0.0), _corridor_run(driven, dimensions)
-    unladen = replace(unladen, tape=not (measured.distance or measured.position), count=1 + more * REPEATS)
-    runs = [unladen, *(replace(run, count=_count(driven, run) + more) for run in candidates)]
+    extra, unladen = int(noise.dof <= 0.0), _corridor_run(driven, dimensions)
+    unladen = replace(unladen, tape=not (measured.distance or measured.position), count=1 + extra * REPEATS)
+    runs = [unladen, *(replace(run, count=_count(driven, run) + extra) for run in candidates)]
     observations = observations_of(joined(driven, drive(driven, runs, measured, dimensions)))
     path = predict(observations)
     noise, names = noise_at(path, noise.scales), [f"next{number:03d}" for number in range(len(runs))]
@@ -364,10 +364,10 @@ def _validated(kind: type[_Section], table: object, path: FilePath, where: str) 
     try:
         return kind.model_validate(table)
     except ValidationError as error:
-        part, found, expected = first_fault(error)
-        raise BadFileError(path, found[:60], expected, _REMEDY, column=f"{where}.{part}") from error
+        part, actual, expected = first_fault(error)
+        raise BadFileError(path, actual[:60], expected, _REMEDY, column=f"{where}.{part}") from error
 
 
-def _wrong(path: FilePath, column: str, found: object, expected: str) -> BadFileError:
-    shown = str(found).lower() if isinstance(found, bool) else repr(found)
+def _wrong(path: FilePath, column: str, actual: object, expected: str) -> BadFileError:
+    shown = str(actual).lower() if isinstance(actual, bool) else repr(actual)
     return BadFileError(path, column=column, found=shown[:60], expected=expected, remedy=_REMEDY)

@@ -92,10 +92,10 @@ def read_settings(path: Path) -> SimulatorSettings:
     try:
         settings = SimulatorSettings.model_validate(load_toml(path, str(path), remedy="give the path of SIM.toml"))
     except ValidationError as error:
-        key, found, expected = first_fault(error)
+        key, actual, expected = first_fault(error)
         of_key = {"command": 'a list: ["python", "sim.py"]', "parameter": "[[parameter]]: name, nominal, step, largest"}
         expected = of_key.get(key, expected)
-        raise BadFileError(path, found[:60], expected, "see the simulator page of the manual", column=key) from error
+        raise BadFileError(path, actual[:60], expected, "see the simulator page of the manual", column=key) from error
     settings._path = path
     for place in PLACES:
         if not any(place in part for part in settings.command):

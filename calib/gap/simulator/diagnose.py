@@ -135,19 +135,19 @@ _Search = Callable[[Differences, Sequence[str]], Diagnosis]
 def _confirmed(searched: _Search, differences: Differences, rng: np.random.Generator) -> Diagnosis:
     diagnosis = searched(differences, ())
     named = named_parameters(diagnosis, differences)
-    found = iterated(diagnosis, differences) if named else None
+    fix = iterated(diagnosis, differences) if named else None
     if diagnosis.kind in NO_GAP_SHOWN:
         return diagnosis
-    rivals, unnamed = _rivals_of(diagnosis, differences, found), ""
+    rivals, unnamed = _rivals_of(diagnosis, differences, fix), ""
     if any(each.fix is not None for each in rivals):
-        if told := _told_by_runs(searched, diagnosis, differences, rivals):
-            diagnosis, found = told
+        if outcome := _told_by_runs(searched, diagnosis, differences, rivals):
+            diagnosis, fix = outcome
         else:
             names = joined(sorted(next(each.names for each in rivals if each.fix is not None)), "and")
             unnamed = f" Run by themselves {names} leave no more than noise, too: --exclude the others to ask for them."
-    if found is None:
+    if fix is None:
         return without_parameter(diagnosis, unnamed)
-    return fixed(diagnosis, differences, found, rng, unnamed)
+    return fixed(diagnosis, differences, fix, rng, unnamed)
 
 
 def _told_by_runs(
@@ -293,34 +293,34 @@ MOST_SETS: Final = 5000
 MOVED: Final = 0.1
 
 
-def _rivals_of(diagnosis: Diagnosis, differences: Differences, found: SimulatorFix | None) -> list[_Rival]:
+def _rivals_of(diagnosis: Diagnosis, differences: Differences, named_fix: SimulatorFix | None) -> list[_Rival]:
     # the named parameters, those most able, and variants of the best set
     n_rows, named = int(diagnosis.nominal.s.usable.sum()), named_parameters(diagnosis, differences)
     limit, verdict = most_square(n_rows, diagnosis.noise.dof), frozenset(cause.effect for cause in diagnosis.causes)
 
-    def rival(some: Mapping[str, Declared], fix: SimulatorFix) -> _Rival:
-        return _Rival(frozenset(some), fix.square + len(some) * log(n_rows), some, fix)
+    def rival(subset: Mapping[str, Declared], fix: SimulatorFix) -> _Rival:
+        return _Rival(frozenset(subset), fix.square + len(subset) * log(n_rows), subset, fix)
 
-    pure = found is not None and len(named) == len(verdict)
-    run = [rival(named, found)] if found is not None and pure and found.square <= limit else []
+    pure = named_fix is not None and len(named) == len(verdict)
+    run = [rival(named, named_fix)] if named_fix is not None and pure and named_fix.square <= limit else []
     # of a simulator that scatters more than noise may be its own
     if not run and (not pure or differences.repeats == 1):
-        able = [some for some in _most_able(diagnosis, differences) if some.keys() != named.keys()]
+        able = [subset for subset in _most_able(diagnosis, differences) if subset.keys() != named.keys()]
         sets = [*able, named] if named and not pure else able
-        fixes = [(some, run_alone(diagnosis, differences, some)) for some in sets]
-        run = sorted((rival(some, fix) for some, fix in fixes if fix.square <= limit), key=attrgetter("score"))[:1]
-    for some in _neighbours(diagnosis, differences, run[0], limit) if run else ():
-        fix = run_alone(diagnosis, differences, some, limit=PROMISED * limit)
+        fixes = [(subset, run_alone(diagnosis, differences, subset)) for subset in sets]
+        run = sorted((rival(subset, fix) for subset, fix in fixes if fix.square <= limit), key=attrgetter("score"))[:1]
+    for subset in _neighbours(diagnosis, differences, run[0], limit) if run else ():
+        fix = run_alone(diagnosis, differences, subset, limit=PROMISED * limit)
         if fix.square > limit:
             continue
-        run.append(rival(some, fix))
-        if added := some.keys() - run[0].named.keys():
-            whole = {**run[0].named, **{name: some[name] for name in added}}
+        run.append(rival(subset, fix))
+        if added := subset.keys() - run[0].named.keys():
+            whole = {**run[0].named, **{name: subset[name] for name in added}}
             run.append(rival(whole, run_alone(diagnosis, differences, whole, limit=PROMISED * limit)))
     if run and len(named) < len(verdict):
         n_sizes = sum(len(size) for _, size, _ in diagnosis.fitted.each())
         # as run with what the library takes, where it was: changes about nominal bend
-        square = diagnosis.fitted.chi_square if found is None else found.square
+        square = diagnosis.fitted.chi_square if named_fix is None else named_fix.square
         run.append(_Rival(verdict, square + n_sizes * log(n_rows), named, None))
     run.sort(key=attrgetter("score"))
     kept: list[_Rival] = []
@@ -343,10 +343,10 @@ def _neighbours(
     for number in inside:
         others = [each for each in inside if each != number]
         for instead in ([], *([each] for each in range(len(names)) if each not in inside)):
-            some = [*others, *instead]
+            subset = [*others, *instead]
             # one fewer is run in any case
-            if some and (not instead or square_left(columns[:, some], gap, sign[some]) <= most):
-                yield {names[each]: differences.by_cause[names[each]] for each in some}
+            if subset and (not instead or square_left(columns[:, subset], gap, sign[subset]) <= most):
+                yield {names[each]: differences.by_cause[names[each]] for each in subset}
 
 
 def _most_able(diagnosis: Diagnosis, differences: Differences) -> Iterator[dict[str, Declared]]:
@@ -354,7 +354,7 @@ def _most_able(diagnosis: Diagnosis, differences: Differences) -> Iterator[dict[
     forms, sign, columns, gap = scaled_signatures(diagnosis)
     for size in range(1, min(MOST_ALONE, len(forms)) + 1):
         sets = islice(combinations(range(len(forms)), size), MOST_SETS)
-        square, best = min((square_left(columns[:, [*some]], gap, sign[[*some]]), some) for some in sets)
+        square, best = min((square_left(columns[:, [*subset]], gap, sign[[*subset]]), subset) for subset in sets)
         if square < np.inf:
             yield {forms[number].effect: differences.by_cause[forms[number].effect] for number in best}
 
@@ -394,5 +394,5 @@ def _as_rivals(diagnosis: Diagnosis, rivals: Sequence[_Rival]) -> Diagnosis:
 def _moves(name: str, best: _Rival, other: _Rival) -> bool:
     if best.fix is None or other.fix is None:
         return False
-    size, there = (fix.deviation[best.named[name].name] for fix in (best.fix, other.fix))
-    return abs(there - size) > MOVED * abs(size)
+    size, other_size = (fix.deviation[best.named[name].name] for fix in (best.fix, other.fix))
+    return abs(other_size - size) > MOVED * abs(size)

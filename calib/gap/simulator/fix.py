@@ -64,17 +64,17 @@ def named_parameters(diagnosis: Diagnosis, differences: Differences) -> dict[str
 
 
 def fixed(
-    diagnosis: Diagnosis, differences: Differences, found: SimulatorFix, rng: np.random.Generator, unnamed: str = ""
+    diagnosis: Diagnosis, differences: Differences, fix: SimulatorFix, rng: np.random.Generator, unnamed: str = ""
 ) -> Diagnosis:
     """Return the diagnosis with what to set and the closure that the simulator shows with it; see `iterated`.
 
     `unnamed`: what is said of other parameters that close the gap, too.
     """
     named = named_parameters(diagnosis, differences)
-    values = {each.name: each.nominal + found.deviation[each.name] for each in named.values()}
+    values = {each.name: each.nominal + fix.deviation[each.name] for each in named.values()}
     nominal = diagnosis.nominal
     before = residuals(nominal, nominal)
-    change = difference(found.table, differences.nominal)[differences.rows(nominal.s)]
+    change = difference(fix.table, differences.nominal)[differences.rows(nominal.s)]
     after = np.where(nominal.s.usable, before - in_end_frame(nominal, change), 0.0)
     held_out = closure_of(nominal, diagnosis.noise, before, after, rng)
     closure = held_out.closure
@@ -85,13 +85,13 @@ def fixed(
     closes, fits = (each.ci95 is not None and each.ci95[0] > ADEQUATE_CLOSURE for each in (closure, own))
     # what no run confirms may be the simulator's error
     denied = named if own.ci95 is None or own.ci95[1] < HALF_CLOSURE else ()
-    causes = limited_to_even([_moved(cause, named, found) for cause in diagnosis.causes], denied)
+    causes = limited_to_even([_moved(cause, named, fix) for cause in diagnosis.causes], denied)
     kind = diagnosis.kind if closes and not closure.leaves_part else VerdictKind.PARTLY_EXPLAINED
     ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, after)
     worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran)) or tuple(
         _farther(ran, closure)
     )
-    recommended = diagnosis.fix.recommended and fits and found.settled and not worse
+    recommended = diagnosis.fix.recommended and fits and fix.settled and not worse
     why = (*diagnosis.fix.why, *worse)
     if not fits:
         low, high = (100.0 * max(share, 0.0) for share in own.ci95 or (0.0, 0.0))
@@ -100,9 +100,9 @@ def fixed(
         why += tuple(
             f"{each.name} of your simulator stands at its largest: raise that where more is possible"
             for each in named.values()
-            if abs(found.deviation[each.name]) >= each.largest
+            if abs(fix.deviation[each.name]) >= each.largest
         )
-    elif not found.settled:
+    elif not fix.settled:
         why = (*why, f"after {MOST_RERUNS} runs with it your simulator still asks for another value; {FAR}")
     diagnosis = replace(
         diagnosis,
@@ -115,8 +115,8 @@ def fixed(
     )
     beside = _of_library(diagnosis)
     lacking = f" No parameter of your simulator does what {beside} of the library does." if beside else ""
-    said = f"{sentence(diagnosis)} {_what_to_set(named, values)}{unnamed or lacking}"
-    return with_left(replace(diagnosis, sentence=said))
+    summary = f"{sentence(diagnosis)} {_what_to_set(named, values)}{unnamed or lacking}"
+    return with_left(replace(diagnosis, sentence=summary))
 
 
 def _farther(ran: Iterable[Trial], closure: Closure) -> Iterator[str]:
@@ -275,12 +275,12 @@ def _run(differences: Differences, named: Mapping[str, Declared], deviation: Flo
     return averaged(runner.run(jobs))
 
 
-def _moved(cause: Cause, named: Mapping[str, Declared], found: SimulatorFix) -> Cause:
+def _moved(cause: Cause, named: Mapping[str, Declared], fix: SimulatorFix) -> Cause:
     if cause.effect not in named:
         return cause
     each = named[cause.effect]
     quantity = cause.parameters[each.name]
-    value, wider, short = found.deviation[each.name], found.wider[each.name], found.short[each.name]
+    value, wider, short = fix.deviation[each.name], fix.wider[each.name], fix.short[each.name]
     low, high = (value + wider * (end - quantity.value) for end in quantity.ci95)
     low, high = low - short, high + short
     return replace(cause, parameters={each.name: Quantity(value, (low, high), quantity.unit)})

@@ -90,14 +90,14 @@ class SimulatorRunner:
         return f"Simulator: {runs}{each}; {self.asked - self.ran} of {self.asked} results were kept from before."
 
     def _command(self) -> list[str]:
-        name, *rest = self.settings.command
+        name, *arguments = self.settings.command
         beside = self.settings.path.resolve().parent / name
         program = str(beside) if os.sep in name and beside.is_file() else shutil.which(name)
         if program is None:
             raise BadInputError(
                 f"{self.settings.path}, command: found no program {name!r}; expected one that runs; give its path"
             )
-        return [program, *rest]
+        return [program, *arguments]
 
     def _one(self, command: Sequence[str], job: Job) -> FloatArray:
         begun = time.monotonic()
@@ -326,12 +326,12 @@ def _averaged(
         if not each.parameter.sign:
             sets[each.name, -step] = []
     counts = {at: REPEATS // sum(of == at[0] for of, _ in sets) for at in sets}
-    more = [
+    jobs = [
         replace(_off(settings, *at) if at[0] else nominal, repeat=number)
         for at, tables in sets.items()
         for number in range(len(tables), counts[at])
     ]
-    results = iter(runner.run(more))
+    results = iter(runner.run(jobs))
     for at, tables in sets.items():
         tables += [next(results) for _ in range(len(tables), counts[at])]
     within = np.stack([difference(table, averaged(tables)) for tables in sets.values() for table in tables])
