@@ -363,8 +363,8 @@ def moment_of(cells: Iterable[Any]) -> tuple[str, ...]:
     for cell in map(str, table.filled_cells(list(cells))):
         for text in (cell, f"{cell} 00:00"):
             with suppress(ValueError):
-                found = divmod(table.moment_ns(text) // table.NS_PER_S, 86_400)
-                days, second = days or found[0], second or found[1]
+                day_and_time = divmod(table.moment_ns(text) // table.NS_PER_S, 86_400)
+                days, second = days or day_and_time[0], second or day_and_time[1]
                 break
     moment = datetime.fromtimestamp(86_400 * days + second, UTC)
     return (f"{moment:%Y%m%d%H%M}", f"{moment:%d%m%Y%H%M}") if days and second else ()

@@ -109,7 +109,7 @@ def _campaign(paths: Sequence[Path], work: Ingestion) -> Campaign:
         inside = [path for path in files if path.parent == first] or files[:1]
         beside = [path for path in inside if not holds_recording(path)]
         tables = ((path, _run_table(path, work, named=True)) for path in beside)
-        first, table = next(((path, found) for path, found in tables if found is not None), (first, None))
+        first, table = next(((path, rows) for path, rows in tables if rows is not None), (first, None))
     files = [path for path in files if table is None or path.resolve() != first.resolve()]
     runs = None
     if table is not None and (further := _further_tables(first, table, files, work)):
@@ -199,15 +199,15 @@ def _run_table(path: Path, work: Ingestion, *, named: bool = False) -> RawTable 
 
 
 def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: Ingestion) -> dict[Path, RawTable]:
-    given = work.mapping.table
+    section = work.mapping.table
     stated = any(work.mapping.log.model_dump(exclude={"lag"}).values())
-    if stated or work.mapping.cut or given.sheets or "log" in table.columns:
+    if stated or work.mapping.cut or section.sheets or "log" in table.columns:
         return {}
     tables: dict[Path, RawTable] = {}
     for path in files:
         if holds_recording(path) or path.stat().st_size > 4 * first.stat().st_size + _SMALL_BYTES:
             return {}
-        tables[path] = read_table(path, str(path), None, given.layout)
+        tables[path] = read_table(path, str(path), None, section.layout)
         if list(tables[path].columns) != list(table.columns):
             return {}
     work.hashes |= {str(path): sha256_file(path) for path in tables}
@@ -217,12 +217,12 @@ def _further_tables(first: Path, table: RawTable, files: Sequence[Path], work: I
 
 
 def _runs_of_sheets(path: Path, work: Ingestion) -> RunTable:
-    given, tables = work.mapping.table, []
-    for sheet in given.sheets:
+    section, tables = work.mapping.table, []
+    for sheet in section.sheets:
         shown = f"{path}, sheet {sheet!r}"
-        raw = read_table(path, shown, None, replace(given.layout, sheet=sheet))
+        raw = read_table(path, shown, None, replace(section.layout, sheet=sheet))
         work.border.notes.extend(raw.notes)
-        if any(line.column == SHEET for line in given.columns.values()):
+        if any(line.column == SHEET for line in section.columns.values()):
             raw = replace(raw, columns={SHEET: object_array([sheet] * len(raw.line)), **raw.columns})
         raw, mapping = with_lookups(raw, work.mapping, path, work.border, {})
         tables.append(mapped_runs(raw, mapping, work.settings, shown, work.border))
@@ -232,7 +232,7 @@ def _runs_of_sheets(path: Path, work: Ingestion) -> RunTable:
         work.border.say(str(path), text, "run_names")
         tables = [
             replace(runs, labels={**runs.labels, "run_id": np.char.add(f"{sheet} ", runs.run_id)})
-            for sheet, runs in zip(given.sheets, tables, strict=True)
+            for sheet, runs in zip(section.sheets, tables, strict=True)
         ]
     runs = stacked(tables)
     numbered = runs.run_id.tolist() == named and all(name.isdecimal() for name in named)
@@ -329,8 +329,8 @@ def _merged(group: Sequence[Note]) -> Note:
         where = f"{len(files)} files, {PurePath(files[0]).name} .. {PurePath(files[-1]).name}"
     else:
         rows = [match[1] for note in group if (match := re.search(r"row (\d+)", note.where))]
-        more = " ..." if len(rows) > _LISTED_ROWS else ""
-        where = files[0] + (f", rows {', '.join(rows[:_LISTED_ROWS])}{more}" if rows else "")
+        dots = " ..." if len(rows) > _LISTED_ROWS else ""
+        where = files[0] + (f", rows {', '.join(rows[:_LISTED_ROWS])}{dots}" if rows else "")
     spans = iter(zip(*(_NUMBER.findall(note.text) for note in group), strict=True))
 
     def span(match: re.Match[str]) -> str:

@@ -113,8 +113,8 @@ def describe(sources: Sequence[Path]) -> Description:
     if alike and (folders := ingest.folders_of(paths)):
         lines = wrapped(f"{folders}: {ingest.OF_FOLDERS}", "# ") + lines
     # the table has to be named first, also one found in a folder
-    given = [str(source) for source in sources]
-    ordered = given if table is None else [table.name, *(source for source in given if source != table.name)]
+    names = [str(source) for source in sources]
+    ordered = names if table is None else [table.name, *(source for source in names if source != table.name)]
     return Description((*([table] if table else ()), *logs), len(paths), table, tuple(lines), tuple(ordered))
 
 

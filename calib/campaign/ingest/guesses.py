@@ -65,8 +65,8 @@ def load_of(text: str, unit: str) -> float | None:
     """Return the load in a text, in kg (``200 kg``, ``with 62,5kg``, ``leer``) or N; else None."""
     if unit == "kg" and re.search(r"\b(leer|empty|unbeladen|unladen|vide|vuoto|vacio)\b", plain_text(text)):
         return 0.0
-    found = re.search(rf"(\d+(?:[.,]\d+)?)_?\s*{unit.lower()}\b", plain_text(text))
-    return float(found[1].replace(",", ".")) if found else None
+    match = re.search(rf"(\d+(?:[.,]\d+)?)_?\s*{unit.lower()}\b", plain_text(text))
+    return float(match[1].replace(",", ".")) if match else None
 
 
 def stem_and_unit(name: str) -> tuple[str, str | None]:
@@ -75,9 +75,9 @@ def stem_and_unit(name: str) -> tuple[str, str | None]:
     `name`: ``Strecke [mm]``, ``Weg in mm`` or ``v_left_m_s``.
     """
     in_words = name.strip()
-    said = re.fullmatch(r"(.{2,}?)(?:\s+in\s+|\s*[/,]\s*|\s)([^\s/,]+)", in_words)
-    if said and unit_named(said[2]) not in {None, "day"}:
-        in_words = f"{said[1]} [{said[2]}]"
+    match = re.fullmatch(r"(.{2,}?)(?:\s+in\s+|\s*[/,]\s*|\s)([^\s/,]+)", in_words)
+    if match and unit_named(match[2]) not in {None, "day"}:
+        in_words = f"{match[1]} [{match[2]}]"
     in_words = re.sub(r"_(mm?|km|rad|deg)_([sh])$", r" [\1/\2]", in_words)
     stem, unit = split_suffix(spelled(in_words))
     before, inside = bracketed(in_words)
@@ -118,12 +118,12 @@ def reading_of(name: str) -> tuple[str, str] | None:
     stem, unit = stem_and_unit(name)
     parts, words = _names()["parts"], stem.split("_")
     for moment in ("start", "end"):
-        rest = [word for word in words if not re.fullmatch(parts[moment], word)]
-        plain = "_".join(rest)
+        others = [word for word in words if not re.fullmatch(parts[moment], word)]
+        plain = "_".join(others)
         target = "distance_m" if re.fullmatch(parts["rangefinder"], plain) else _matching(plain, unit, "table")
         if count_unit(name) == "counts" and (side := side_of(plain)):
             target = f"counts_{side}"
-        if 0 < len(rest) == len(words) - 1 and target in {"distance_m", "counts_left", "counts_right"}:
+        if 0 < len(others) == len(words) - 1 and target in {"distance_m", "counts_left", "counts_right"}:
             return target, moment
     return None
 
@@ -153,11 +153,11 @@ def _wheel_of(name: str) -> str | None:
     def of(*names: str) -> set[str]:
         return {word for word in words if any(re.fullmatch(parts[part], word) for part in names)}
 
-    told, speed = of("wheel", "turns", "angle", "rate", *(["rolled"] if measures == "m" else [])), of("speed")
-    told |= of("beside") if measures == "radps" else set()
+    rolls, speed = of("wheel", "turns", "angle", "rate", *(["rolled"] if measures == "m" else [])), of("speed")
+    rolls |= of("beside") if measures == "radps" else set()
     left, right = of("left"), of("right")
-    others = {*words} - told - speed - of("beside") - left - right
-    if len(left) + len(right) != 1 or not told or others or measures not in {"", "m", "rad", "radps", "mps"}:
+    others = {*words} - rolls - speed - of("beside") - left - right
+    if len(left) + len(right) != 1 or not rolls or others or measures not in {"", "m", "rad", "radps", "mps"}:
         return None
     side = "left" if left else "right"
     by_speed = speed and (measures == "mps" or (not unit and count_unit(name) is None))
@@ -302,9 +302,9 @@ def estimate_lag(
         return None
 
     def correlation(lag: float, keep: BoolArray) -> float:
-        there, here = speed(grid[keep] + lag, other_time_s, other_travelled), own[keep]
-        spread = float(np.std(here) * np.std(there))
-        return float(np.mean((here - here.mean()) * (there - there.mean())) / spread) if spread > 0 else 0.0
+        second, first = speed(grid[keep] + lag, other_time_s, other_travelled), own[keep]
+        spread = float(np.std(first) * np.std(second))
+        return float(np.mean((first - first.mean()) * (second - second.mean())) / spread) if spread > 0 else 0.0
 
     everything = np.ones(len(grid), dtype=np.bool_)
     candidates = np.arange(-_LARGEST_LAG_S, _LARGEST_LAG_S + step, max(step, 0.01))

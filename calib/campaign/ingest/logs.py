@@ -131,9 +131,9 @@ def _gathered(files: Mapping[str, Path], lines: Lines, mapping: LabMapping) -> R
         time = whole_name(clock.column, raw.columns)
         time = time if time in raw.columns else whole_name(own, raw.columns)
         if time not in raw.columns:
-            found, expected = f"no column {clock.column!r} for the times", "times in each file of a run"
+            actual, expected = f"no column {clock.column!r} for the times", "times in each file of a run"
             remedy = f"correct log.t_s in {mapping.shown}"
-            raise BadFileError(str(path), found, expected, remedy, row=1, column="t_s")
+            raise BadFileError(str(path), actual, expected, remedy, row=1, column="t_s")
         line = clock.model_copy(update={"column": time})
         match = recognise(line.target("t_s"), LOG_COLUMNS, further=False)
         factor = 1.0 if time in raw.epochs else match.factor * line.scale("t_s")
@@ -160,11 +160,11 @@ def _refuse_missing(
     known = list(names)
     for name, line in lines.items():
         for column in (source for source in line.sources if source not in known):
-            found = f"no column {column!r}, " + (f"only {', '.join(known)[:300]}" if known else "nor any of the others")
+            text = f"no column {column!r}, " + (f"only {', '.join(known)[:300]}" if known else "nor any of the others")
             remedy = f"correct log.{name} in {mapping.shown}; 'calib ingest --describe' lists the columns"
             if not known:
                 remedy = f"if it is no log, name the logs alone ({Path(shown).parent}/run*.csv); else {remedy}"
-            raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=name)
+            raise BadFileError(shown, text, "the column that the mapping names", remedy, row=row, column=name)
 
 
 def _empty_cells(columns: Mapping[str, FloatArray], lines: Lines) -> int:
@@ -229,9 +229,9 @@ def _with_heading(columns: Mapping[str, FloatArray], lines: Lines, shown: str, b
 def _joined(recording: Recording, base: Stream, lines: Lines, removed: Mapping[str, Lag], shown: str) -> RawTable:
     clock = "t_s" not in lines
     if clock and base.time_ns is None and "t_s" not in base.columns:
-        found = f"no clock in {base.name!r} ({', '.join(base.columns)[:120]})"
+        actual = f"no clock in {base.name!r} ({', '.join(base.columns)[:120]})"
         remedy = 'name the column of times in the mapping: [log] t_s = "..."'
-        raise BadFileError(shown, found, "times, as waveform properties or as a column", remedy)
+        raise BadFileError(shown, actual, "times, as waveform properties or as a column", remedy)
     shifts_s = {}
     for name, line in lines.items():
         lag = removed.get("reference" if name.startswith("ref_") else name)

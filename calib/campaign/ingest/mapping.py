@@ -58,9 +58,9 @@ class _Model(BaseModel):
 
 
 class _UnfitError(ValueError):
-    def __init__(self, key: str, found: Any, expected: str) -> None:
+    def __init__(self, key: str, actual: Any, expected: str) -> None:
         super().__init__(expected)
-        self.key, self.found, self.expected = key, found, expected
+        self.key, self.found, self.expected = key, actual, expected
 
 
 class MappedColumn(_Model):
@@ -340,8 +340,8 @@ def parse_section(model: type[_Parsed], section: object, shown: str, where: str)
             path, fields = path[1:], MappedColumn.model_fields
         name = path[0] if path else ""
         if isinstance(unfit, _UnfitError):
-            found = first["input"] if unfit.found is None else unfit.found
-            raise bad_line(shown, where, unfit.key or name, found, unfit.expected) from error
+            actual = first["input"] if unfit.found is None else unfit.found
+            raise bad_line(shown, where, unfit.key or name, actual, unfit.expected) from error
         key = path[1] if fields is MappedColumn.model_fields and len(path) > 1 else name
         if first["type"] == "extra_forbidden":
             expected = f"the keys {', '.join(sorted(fields))}"
@@ -350,6 +350,6 @@ def parse_section(model: type[_Parsed], section: object, shown: str, where: str)
         raise bad_line(shown, where, name, first["input"], expected) from error
 
 
-def bad_line(shown: str, where: str, name: str, found: Any, expected: str) -> BadFileError:
+def bad_line(shown: str, where: str, name: str, actual: Any, expected: str) -> BadFileError:
     """Return the error for one line of a mapping; see `BadFileError`."""
-    return BadFileError(shown, repr(found)[:80], expected, "correct the mapping", column=f"{where}.{name}")
+    return BadFileError(shown, repr(actual)[:80], expected, "correct the mapping", column=f"{where}.{name}")

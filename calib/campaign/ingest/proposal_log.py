@@ -61,8 +61,8 @@ def log_lines(logs: Sequence[FileContents]) -> list[str]:
     if several := {tag: part for tag, (_, part) in files_of_a_run(logs).items()}:
         return _lines_of_several(several, logs)
     log = max(logs, key=lambda file: (file.recording, len(file.columns)))
-    lines, found = _column_lines(log, _with_bits(log, [other for other in logs if other.alike(log)]))
-    return [*lines, *_missing(lines, found, logs), *_kinds(logs)]
+    lines, chosen = _column_lines(log, _with_bits(log, [other for other in logs if other.alike(log)]))
+    return [*lines, *_missing(lines, chosen, logs), *_kinds(logs)]
 
 
 def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileContents]) -> list[str]:
@@ -79,15 +79,15 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
         streams.append(StreamContents(tag, _UNTYPED[0], part.n_rows, "", tuple(c.name for c in own)))
         columns += own
     log = FileContents(", ".join(parts), True, 0, tuple(columns), (), tuple(streams))
-    lines, found = _column_lines(log, columns)
+    lines, chosen = _column_lines(log, columns)
     own_times = {tag: _line("t_s", time).partition("   #")[0].removeprefix("t_s = ") for tag, time in times.items()}
     if times:
-        found["t_s"] = next(iter(times.values()))
+        chosen["t_s"] = next(iter(times.values()))
         one_clock = len({*own_times.values()}) == 1
         each = ", ".join(f"{tag} = {line}" for tag, line in own_times.items())
         several = f"clocks = {{{each}}}   # the times of each file" + "; state ? Hz" * ("?" in each)
-        lines.insert(0, _line("t_s", found["t_s"]) if one_clock else several)
-    return [*lines, *_missing(lines, found, logs)]
+        lines.insert(0, _line("t_s", chosen["t_s"]) if one_clock else several)
+    return [*lines, *_missing(lines, chosen, logs)]
 
 
 def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnContents]:
@@ -104,23 +104,23 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     kinds = {stream.kind: stream for stream in reversed(log.streams)}
     reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
     columns, lines = _of_one_body(columns)
-    found: dict[str, ColumnContents] = {}
+    chosen: dict[str, ColumnContents] = {}
     for column in sorted(columns, key=_preference):
         target = guessed_log_column(column.name)
-        if target and target not in found and _plausible(target, column, streams.get(column.name), reference):
-            found[target] = column
-    _to_ground(found, columns)
-    bearing = _one_source(found, streams)
-    names, others = ({column.name for column in of} for of in (found.values(), columns))
+        if target and target not in chosen and _plausible(target, column, streams.get(column.name), reference):
+            chosen[target] = column
+    _to_ground(chosen, columns)
+    bearing = _one_source(chosen, streams)
+    names, others = ({column.name for column in of} for of in (chosen.values(), columns))
     free = sorted((column for column in columns if column.name not in names), key=lambda column: column.kind != "time")
     clock = next((column for column in free if column.even or column.kind == "time"), None)
-    if "t_s" not in found and clock is not None and not log.recording:
+    if "t_s" not in chosen and clock is not None and not log.recording:
         unit, remark = _time_unit(clock) if clock.even else (None, "")
         lines.append(entry("t_s", clock, unit) + remark.replace("names no unit", "rises in even steps"))
         columns.remove(clock)
-    x = found.get("ref_x_m")
+    x = chosen.get("ref_x_m")
     eastward = x is not None and re.match("(.*_)?(ost|este?|east)", stem_and_unit(x.name)[0]) is not None
-    for target, column in found.items():
+    for target, column in chosen.items():
         # in the log of the wheels a pose without the name of a tracker may be the vehicle's own
         own = not log.recording and _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None
         own = own or "odom" in column.name.lower() or "pose.pose" in column.name
@@ -133,8 +133,8 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
             _OF_QUATERNION.search(column.name) or _quaternion_w(column) in others - {column.name}
         ):
             lines[-1] = _quaternion_line(column, columns)
-    lines += _wheel_lines(found, columns, streams)
-    return sorted(lines, key=lambda line: not line.startswith("t_s")), found
+    lines += _wheel_lines(chosen, columns, streams)
+    return sorted(lines, key=lambda line: not line.startswith("t_s")), chosen
 
 
 def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], list[str]]:
@@ -155,21 +155,21 @@ def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
     return _VELOCITY in column.name, no_tracker, not guesses.by_rangefinder(column.name)
 
 
-def _one_source(found: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
+def _one_source(chosen: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
     # speeds beside counts, or one of two, are dropped; returned is a bearing taken as heading
-    known = any(name.startswith("counts_") for name in found)
-    if not known and _TWIST[0] in found and _TWIST[1] not in found and "gyro_z_radps" in found:
-        found[_TWIST[1]] = found.pop("gyro_z_radps")
+    known = any(name.startswith("counts_") for name in chosen)
+    if not known and _TWIST[0] in chosen and _TWIST[1] not in chosen and "gyro_z_radps" in chosen:
+        chosen[_TWIST[1]] = chosen.pop("gyro_z_radps")
     for pair in (_SPEEDS, _TWIST):
-        for name in pair if known or not {*pair} <= set(found) else ():
-            found.pop(name, None)
-        known = known or pair[0] in found
-    bearing = found.pop("bearing_rad", None)
-    steers = "counts_front" in found and "steer_rad" not in found
-    if bearing is None or not {"ref_x_m", "ref_y_m"} <= set(found) or "ref_theta_rad" in found or steers:
+        for name in pair if known or not {*pair} <= set(chosen) else ():
+            chosen.pop(name, None)
+        known = known or pair[0] in chosen
+    bearing = chosen.pop("bearing_rad", None)
+    steers = "counts_front" in chosen and "steer_rad" not in chosen
+    if bearing is None or not {"ref_x_m", "ref_y_m"} <= set(chosen) or "ref_theta_rad" in chosen or steers:
         return None
     typed = bearing.name in streams and streams[bearing.name].kind not in _UNTYPED
-    return None if typed else found.setdefault("ref_theta_rad", bearing)
+    return None if typed else chosen.setdefault("ref_theta_rad", bearing)
 
 
 def _quaternion_w(of_axis: ColumnContents) -> str:
@@ -177,22 +177,22 @@ def _quaternion_w(of_axis: ColumnContents) -> str:
     return of_axis.name[:-1] + ("W" if axis in "XYZ" else "w" if axis in "xyz" else axis)
 
 
-def _to_ground(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> None:
+def _to_ground(chosen: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> None:
     named = {column.name: column for column in columns}
-    x = found["ref_x_m"].name if "ref_x_m" in found else ""
+    x = chosen["ref_x_m"].name if "ref_x_m" in chosen else ""
     at_x = len(x.partition(" [")[0]) - 1  # a unit may follow
     names = [x[:at_x] + chr(ord(x[at_x]) + axis) + x[at_x + 1 :] for axis in range(3)] if x and x[at_x] in "xX" else []
     axes = [named[name] for name in names if name in named]
-    if len(axes) < 3 or found.get("ref_y_m") is not axes[1]:
+    if len(axes) < 3 or chosen.get("ref_y_m") is not axes[1]:
         return
     spans = [axis.span for axis in axes]
     up = spans.index(min(spans))
     # a straight run's sideways motion is small, too
     up = up if spans[up] < _VERTICAL_SHARE * sorted(spans)[1] else 2
-    found["ref_x_m"], found["ref_y_m"] = axes[(up + 1) % 3], axes[(up + 2) % 3]
+    chosen["ref_x_m"], chosen["ref_y_m"] = axes[(up + 1) % 3], axes[(up + 2) % 3]
     turns = [column for column in columns if column.name[-1].lower() == "xyz"[up] and _quaternion_w(column) in named]
-    if turns and (up != 2 or "ref_theta_rad" not in found):
-        found["ref_theta_rad"] = turns[0]
+    if turns and (up != 2 or "ref_theta_rad" not in chosen):
+        chosen["ref_theta_rad"] = turns[0]
 
 
 def _quaternion_line(z: ColumnContents, columns: Sequence[ColumnContents]) -> str:
@@ -243,26 +243,26 @@ def _time_unit(column: ColumnContents) -> tuple[str | None, str]:
 
 
 def _wheel_lines(
-    found: dict[str, ColumnContents], columns: Sequence[ColumnContents], streams: dict[str, StreamContents]
+    chosen: dict[str, ColumnContents], columns: Sequence[ColumnContents], streams: dict[str, StreamContents]
 ) -> list[str]:
-    taken = {column.name for name, column in found.items() if not name.startswith("counts_")}
-    corners = [name for pair in _CORNERS.values() for name in pair if name in found]
-    own = any(recognise(found[name].name, LOG_COLUMNS).name == name for name in corners)
+    taken = {column.name for name, column in chosen.items() if not name.startswith("counts_")}
+    corners = [name for pair in _CORNERS.values() for name in pair if name in chosen]
+    own = any(recognise(chosen[name].name, LOG_COLUMNS).name == name for name in corners)
     remark, lines = "", []
-    if corners and not own and not set(_PAIR) & set(found):
-        remark = _as_one_axle(found, corners)
-    elif len(set(_PAIR) & set(found)) < 2 and not {"counts_front", *corners, *_SPEEDS} & set(found):
-        remark = _by_behaviour(found, [column for column in columns if column.name not in taken])
+    if corners and not own and not set(_PAIR) & set(chosen):
+        remark = _as_one_axle(chosen, corners)
+    elif len(set(_PAIR) & set(chosen)) < 2 and not {"counts_front", *corners, *_SPEEDS} & set(chosen):
+        remark = _by_behaviour(chosen, [column for column in columns if column.name not in taken])
     for name, other in (_PAIR, _PAIR[::-1]):
-        if name not in found or other in found or "counts_front" in found:
+        if name not in chosen or other in chosen or "counts_front" in chosen:
             continue
-        lines.append(f'#{name} = "{found.pop(name).name}"   # looks like a wheel, but no column looks like {other}')
-    wheels = [name for name in LOG_COLUMNS if name.startswith("counts_") and name in found]
-    units = {name: _wheel_unit(found[name], streams.get(found[name].name)) for name in wheels}
+        lines.append(f'#{name} = "{chosen.pop(name).name}"   # looks like a wheel, but no column looks like {other}')
+    wheels = [name for name in LOG_COLUMNS if name.startswith("counts_") and name in chosen]
+    units = {name: _wheel_unit(chosen[name], streams.get(chosen[name].name)) for name in wheels}
     # an angle may fall and rise as a rate does: of one vehicle all wheels are alike
     angle = next((each for each in units.values() if each[0] == "rad" and each[1]), None)
     for wheel in wheels:
-        column, stream = found[wheel], streams.get(found[wheel].name)
+        column, stream = chosen[wheel], streams.get(chosen[wheel].name)
         unit, why = angle if angle and units[wheel][0] == "rad/s" and _VELOCITY not in column.name else units[wheel]
         line = entry(wheel, column, unit or None)
         if column.kind == "number" and column.low == column.high:
@@ -272,17 +272,17 @@ def _wheel_lines(
     return lines
 
 
-def _as_one_axle(found: dict[str, ColumnContents], corners: Sequence[str]) -> str:
+def _as_one_axle(chosen: dict[str, ColumnContents], corners: Sequence[str]) -> str:
     for axle in (0, 1):
         names = [pair[axle] for pair in _CORNERS.values()]
         if sorted(corners) == sorted(names):
             for side, name in zip(_PAIR, names, strict=True):
-                found[side] = found.pop(name)
+                chosen[side] = chosen.pop(name)
             return ""
-    if len(corners) == 4 and all(_coupled(*(found[name] for name in pair)) for pair in _CORNERS.values()):
+    if len(corners) == 4 and all(_coupled(*(chosen[name] for name in pair)) for pair in _CORNERS.values()):
         for side, (front, rear) in _CORNERS.items():
-            found[side] = found.pop(front)
-            del found[rear]
+            chosen[side] = chosen.pop(front)
+            del chosen[rear]
         return SKID_STEER
     return ""
 
@@ -296,7 +296,7 @@ def _is_angle(column: ColumnContents) -> bool:
     return column.whole or column.span > 2.0 * math.pi
 
 
-def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
+def _by_behaviour(chosen: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
     rising = [column for column in columns if column.does == guesses.RISES]
     kinds = {
         "overflows": [column for column in columns if column.whole and column.wrap_bits],
@@ -305,12 +305,12 @@ def _by_behaviour(found: dict[str, ColumnContents], columns: Sequence[ColumnCont
         if all(UNNAMED.fullmatch(column.name) for column in columns)
         else [],
     }
-    what, counters = next(((what, found) for what, found in kinds.items() if found), ("", []))
+    what, counters = next(((what, of) for what, of in kinds.items() if of), ("", []))
     if len(counters) != 2:
         return ""
     sides = [side_of(column.name) for column in counters]
     exchanged = sides in (["right", "left"], ["right", None], [None, "left"])
-    found |= dict(zip(_PAIR, counters[::-1] if exchanged else counters, strict=True))
+    chosen |= dict(zip(_PAIR, counters[::-1] if exchanged else counters, strict=True))
     unclear = None in sides or sides[0] == sides[1]
     return f"   # {what}, as a counter does; which side it is on is not said: check" if unclear else ""
 
@@ -337,8 +337,8 @@ def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[
     return "rad/s", "   # neither whole nor rising: a rate; or rad, an angle"
 
 
-def _missing(lines: Sequence[str], found: dict[str, ColumnContents], logs: Sequence[FileContents]) -> list[str]:
-    named = {line.partition(" ")[0] for line in lines} | set(found)
+def _missing(lines: Sequence[str], chosen: dict[str, ColumnContents], logs: Sequence[FileContents]) -> list[str]:
+    named = {line.partition(" ")[0] for line in lines} | set(chosen)
     named |= {recognise(column.name, LOG_COLUMNS).name for log in logs for column in log.columns}
     clocked = any(stream.start_ns is not None for log in logs for stream in log.streams)
     timed = clocked or "t_s" in named or any(column.kind == "time" for log in logs for column in log.columns)

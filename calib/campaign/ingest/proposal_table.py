@@ -120,8 +120,8 @@ def _exclusion_lines(table: FileContents, named: set[str]) -> list[str]:
 
 def _names_logs(column: ColumnContents, logs: Sequence[FileContents]) -> bool:
     names = {name.lower() for log in logs for name in (Path(log.name).name, Path(log.name).stem)}
-    given = [text.replace("\\", "/").rpartition("/")[2].lower() in names for text in column.texts]
-    return 2 * sum(given) > len(given)
+    matches = [text.replace("\\", "/").rpartition("/")[2].lower() in names for text in column.texts]
+    return 2 * sum(matches) > len(matches)
 
 
 def _targets(table: FileContents) -> dict[str, str | None]:
@@ -197,12 +197,12 @@ def _sheet_lines(sheets: Sequence[str], named: set[str]) -> list[str]:
 
 
 def _reading_lines(columns: Sequence[ColumnContents]) -> dict[str, str]:
-    found: dict[str, dict[str, ColumnContents]] = {}
+    readings: dict[str, dict[str, ColumnContents]] = {}
     for column in columns:
         if (reading := guesses.reading_of(column.name)) and column.kind == "number":
-            found.setdefault(reading[0], {}).setdefault(reading[1], column)
+            readings.setdefault(reading[0], {}).setdefault(reading[1], column)
     lines = {}
-    for target, ends in found.items():
+    for target, ends in readings.items():
         if len(ends) < 2:
             continue
         last, first = ends["end"], ends["start"]

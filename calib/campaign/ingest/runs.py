@@ -76,21 +76,21 @@ def with_lookups(
 
 def files_of_sheets(mapping: LabMapping, path: Path, files: Sequence[Path], hashes: dict[str, str]) -> dict[str, Path]:
     """Return the files that a mapping's sheets name where `path` is no workbook; add their hashes."""
-    found: dict[str, Path] = {}
+    by_sheet: dict[str, Path] = {}
     for target, line in mapping.table.columns.items():
         if line.sheet and path.suffix.lower() != ingest.WORKBOOK:
             named = [file for file in files if line.sheet in {file.name, file.stem}]
             if len(named) != 1:
                 expected = f"the name of one further source, as {path.name} has no sheets"
                 raise bad_line(mapping.shown, "table", f"{target}.sheet", line.sheet, expected)
-            found[line.sheet] = named[0]
+            by_sheet[line.sheet] = named[0]
             hashes[str(named[0])] = sha256_file(named[0])
-    return found
+    return by_sheet
 
 
 def _looked_up(raw: RawTable, sheet: RawTable, line: MappedColumn, shown: str, where: str) -> npt.NDArray[Any]:
-    def refused(column: str, found: str, expected: str) -> BadFileError:
-        return BadFileError(shown, found, expected, f"correct {where}, or complete the sheet", column=column)
+    def refused(column: str, actual: str, expected: str) -> BadFileError:
+        return BadFileError(shown, actual, expected, f"correct {where}, or complete the sheet", column=column)
 
     by = whole_name(line.by, raw.columns)
     if by not in raw.columns:
@@ -182,9 +182,9 @@ def _without_end(raw: RawTable, lines: Mapping[str, MappedColumn], shown: str, b
 
 def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: LabMapping, shown: str) -> npt.NDArray[Any]:
     for column in (column for column in line.sources if column not in raw.columns):
-        found, remedy = f"only {', '.join(raw.columns)[:200]}", f"correct table.{name} in {mapping.shown}"
+        actual, remedy = f"only {', '.join(raw.columns)[:200]}", f"correct table.{name} in {mapping.shown}"
         row = max(1, int(raw.line[0]) - 1) if len(raw.line) else 1
-        raise BadFileError(shown, found, "the column that the mapping names", remedy, row=row, column=column)
+        raise BadFileError(shown, actual, "the column that the mapping names", remedy, row=row, column=column)
     if line.minus:
         comma = comma_evidence(list(raw.columns.values()))
         sources = (line.column, line.minus)
@@ -193,7 +193,7 @@ def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: LabMapping, sh
     cells = raw.columns[line.column]
     if not line.values:
         return cells
-    meanings = {_label(found): str(meaning) for found, meaning in line.values.items()}
+    meanings = {_label(label): str(meaning) for label, meaning in line.values.items()}
     texts: list[str | None] = []
     for cell, row in zip(cells, raw.line, strict=True):
         text = _label(cell)
@@ -233,9 +233,9 @@ def match_logs(
     Raises BadFileError where no run finds its log, or two; see `mapped_runs`.
     """
 
-    def unmatched(index: int, found: str) -> BadFileError:
+    def unmatched(index: int, actual: str) -> BadFileError:
         remedy = "name the file or its folder, or correct log.file of the mapping"
-        return BadFileError(shown, found, "one log for the run", remedy, row=int(runs.line[index]), column="log")
+        return BadFileError(shown, actual, "one log for the run", remedy, row=int(runs.line[index]), column="log")
 
     named = runs.labels.get("log")
     matched: dict[int, dict[str, Path]] = {}
@@ -247,7 +247,7 @@ def match_logs(
     if log.columns and not files:
         border.say(shown, 'no log for [log]: name the files, or sheet = "Run {n}"', "no_logs", level="suspicious")
     for index, run_id in enumerate(map(str, runs.run_id)):
-        found: dict[str, Path] = {}
+        by_tag: dict[str, Path] = {}
         moment = moments.get(int(runs.line[index]))
         for tag, pattern in patterns.items():
             wanted = (ingest.expected_name(log, run_id, pattern) or "") if named is None else str(named[index])
@@ -263,15 +263,15 @@ def match_logs(
             if len(fitting) > 1:
                 raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
             if fitting:
-                found[tag] = fitting[0]
+                by_tag[tag] = fitting[0]
             elif wanted or files:
                 missing.setdefault(index, wanted or f"{run_id}.*")
-        if found and index not in missing:
-            matched[index] = found
+        if by_tag and index not in missing:
+            matched[index] = by_tag
     if files and missing and not matched:
         index, name = next(iter(missing.items()))
         raise unmatched(index, f"no source file named {name!r}, nor any of the other runs'")
-    _note_unused({path for found in matched.values() for path in found.values()}, files, log, border)
+    _note_unused({path for by_tag in matched.values() for path in by_tag.values()}, files, log, border)
     return matched, missing
 
 
@@ -296,8 +296,8 @@ def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border
 
 def files_of_runs(files: Sequence[Path], log: LogSection) -> dict[str, dict[str, Path]]:
     """Return the runs of files by the patterns of ``log.files``, in order, and the files of each."""
-    found: dict[str, dict[str, Path]] = {}
+    by_run: dict[str, dict[str, Path]] = {}
     for tag, pattern in log.files.items():
         for path in (path for path in files if ingest.fits_name(path.name, pattern)):
-            found.setdefault(ingest.run_in(path.name, pattern) or "", {})[tag] = path
-    return dict(sorted(found.items(), key=lambda run: (ingest.run_number(run[0], None) or 0, run[0])))
+            by_run.setdefault(ingest.run_in(path.name, pattern) or "", {})[tag] = path
+    return dict(sorted(by_run.items(), key=lambda run: (ingest.run_number(run[0], None) or 0, run[0])))

@@ -112,19 +112,19 @@ def segment_recordings(
         runs = mapped_runs(raw, mapping, settings, "the runs cut", work.border)
     elif len(runs) != len(logs):
         spans = ", ".join(f"{segment.start_s:.4g}-{segment.end_s:.4g}" for segment in segments[:12])
-        found = f"{len(logs)} runs, cut by {cut.by} ({spans} s), and {len(runs)} rows of the table"
-        raise BadFileError(shown, found, "as many", "correct min_stop_s or min_length_m of [cut], or cut by times")
+        actual = f"{len(logs)} runs, cut by {cut.by} ({spans} s), and {len(runs)} rows of the table"
+        raise BadFileError(shown, actual, "as many", "correct min_stop_s or min_length_m of [cut], or cut by times")
     work.segments += [replace(part, run_id=str(run_id)) for part, run_id in zip(segments, runs.run_id, strict=True)]
     return runs, logs
 
 
 def _unwrapped(log: MappedLog, bits: int | None) -> MappedLog:
     columns = dict(log.columns)
-    found = log.wrap_bits if bits is None else bits
+    wrap_bits = log.wrap_bits if bits is None else bits
     for name in [name for name in columns if name.startswith("counts_")]:
         columns[name], width = continuous_counts(columns[name], bits, columns["t_s"])
-        found = width or found
-    return replace(log, columns=columns, wrap_bits=found)
+        wrap_bits = width or wrap_bits
+    return replace(log, columns=columns, wrap_bits=wrap_bits)
 
 
 def _columns_of(columns: Mapping[str, FloatArray], part: slice) -> dict[str, FloatArray]:
@@ -135,8 +135,8 @@ def _columns_of(columns: Mapping[str, FloatArray], part: slice) -> dict[str, Flo
 
 def _table_times(table: RawTable, cut: Segmentation, shown: str) -> list[list[Any]]:
     for name in (name for name in (cut.start, cut.end) if name not in table.columns):
-        found = f"the table's columns {', '.join(table.columns)[:200]}"
-        raise BadFileError(shown, found, f"a column {name!r}", "correct the mapping", column="cut.start")
+        actual = f"the table's columns {', '.join(table.columns)[:200]}"
+        raise BadFileError(shown, actual, f"a column {name!r}", "correct the mapping", column="cut.start")
     return [list(pair) for pair in zip(table.columns[cut.start], table.columns[cut.end], strict=True)]
 
 
@@ -199,9 +199,9 @@ def _between(pair: Sequence[Any], time: FloatArray, start_ns: int, shown: str) -
     first = int(np.searchsorted(time, low - 1e-9))
     after = int(np.searchsorted(time, high + 1e-9, side="right"))
     if not first < after - 1:
-        found = f"no samples from {pair[0]} to {pair[1]}; it spans {time[0]:.6g} to {time[-1]:.6g} s"
+        actual = f"no samples from {pair[0]} to {pair[1]}; it spans {time[0]:.6g} to {time[-1]:.6g} s"
         remedy = "correct cut.times, in seconds from its start or as times of the clock with their zone"
-        raise BadFileError(shown, found, "times within the recording", remedy)
+        raise BadFileError(shown, actual, "times within the recording", remedy)
     return slice(first, after)
 
 
