@@ -45,9 +45,9 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
     """
     matched, line = _match(raw, shown, border), raw.line
     if "run_id" not in matched:
-        found = f"only {', '.join(list(raw.columns)[:12])[:200] or 'nothing'}"
+        actual = f"only {', '.join(list(raw.columns)[:12])[:200] or 'nothing'}"
         remedy = "name each run; 'calib ingest --describe FILE' proposes a mapping of other names"
-        raise BadFileError(shown, found, "a column run_id", remedy, column="run_id")
+        raise BadFileError(shown, actual, "a column run_id", remedy, column="run_id")
     refuse_beyond(len(line), RUNS, shown=shown, what="runs", remedy="divide the campaign into several")
     if not len(line):
         raise BadFileError(shown, found="no rows", expected="one row a run", remedy="add the runs")
@@ -60,8 +60,8 @@ def run_table(raw: RawTable, shown: str, border: Border) -> RunTable:
             labels[name] = np.char.lower(labels[name])
             for row in np.flatnonzero(~np.isin(labels[name], ("", *allowed))):
                 expected = f"{' or '.join(allowed)}, or an empty cell"
-                found = repr(str(labels[name][row])[:40])
-                fault = BadFileError(shown, found, expected, remedy, row=int(line[row]), column=name)
+                actual = repr(str(labels[name][row])[:40])
+                fault = BadFileError(shown, actual, expected, remedy, row=int(line[row]), column=name)
                 border.fault(fault, name, str(labels["run_id"][row]))
     if "session" in labels:
         labels["session"] = _sessions(labels["session"], shown, border)
@@ -99,19 +99,19 @@ def _session_meant(label: str) -> str:
 
 def _summaries(labels: Mapping[str, StrArray], columns: Mapping[str, FloatArray], used: BoolArray) -> dict[int, str]:
     run_id, session = labels["run_id"], labels.get("session", np.full(len(used), ""))
-    found = {row: "a summary" for row in np.flatnonzero(used).tolist() if SUMMARY.fullmatch(run_id[row])}
+    reasons = {row: "a summary" for row in np.flatnonzero(used).tolist() if SUMMARY.fullmatch(run_id[row])}
     table = np.stack([columns.get(name, np.full(len(used), np.nan)) for name in NUMERIC_COLUMNS], axis=1)
     form = [re.sub(r"\d+", "0", name) for name in map(str, run_id)]
     looked_at = np.asarray(form) != Counter(form).most_common(1)[0][0]
     looked_at[-1] = True
     for row in np.flatnonzero(used & looked_at).tolist():
-        others = np.flatnonzero(used & ~np.isin(np.arange(len(used)), [row, *found]))
+        others = np.flatnonzero(used & ~np.isin(np.arange(len(used)), [row, *reasons]))
         above = others[others < row]
-        last = max((at for at in found if at < max(above, default=0)), default=-1)
+        last = max((at for at in reasons if at < max(above, default=0)), default=-1)
         for block in (above, above[above > last], above[session[above] == session[row]], others):
-            if row not in found and (what := _statistic(table[row], table[block])):
-                found[row] = f"the {what}"
-    return found
+            if row not in reasons and (what := _statistic(table[row], table[block])):
+                reasons[row] = f"the {what}"
+    return reasons
 
 
 def _statistic(row: FloatArray, others: FloatArray) -> str:
@@ -132,15 +132,15 @@ def _statistic(row: FloatArray, others: FloatArray) -> str:
 
 def _match(raw: RawTable, shown: str, border: Border) -> dict[str, Recognised]:
     matched: dict[str, Recognised] = {}
-    for found in raw.columns:
-        match = recognise(found, _KNOWN)
+    for header in raw.columns:
+        match = recognise(header, _KNOWN)
         if match.name in matched:
-            raise second_column(match, found, shown)
+            raise second_column(match, header, shown)
         matched[match.name] = match
         border.recognised(shown, match)
         if match.unitless:
             text = f"names no unit and is not used as {match.unitless}; rename it to the unit it is in"
-            border.say(f"{shown}, column {found}", text, "no_unit", level="suspicious")
+            border.say(f"{shown}, column {header}", text, "no_unit", level="suspicious")
     missing = [name for name in NUMERIC_COLUMNS if name not in matched]
     for match in matched.values():
         if match.name not in _KNOWN and not match.unitless and (wanted := look_alike(match.name, missing)):
@@ -194,9 +194,9 @@ def _plain(cell: Any, whole_below: float = np.inf) -> str:
 def _flags(cells: npt.NDArray[Any], shown: str, line: IntArray) -> BoolArray:
     texts = np.char.lower(_texts(cells, "excluded", shown, line))
     for row in np.flatnonzero(~np.isin(texts, (*_TRUE, *_FALSE))):
-        found, remedy = repr(str(texts[row])[:40]), "correct the cell; the reason goes into exclusion_reason"
+        actual, remedy = repr(str(texts[row])[:40]), "correct the cell; the reason goes into exclusion_reason"
         expected = "true, false or an empty cell"
-        raise BadFileError(shown, found, expected, remedy, row=int(line[row]), column="excluded")
+        raise BadFileError(shown, actual, expected, remedy, row=int(line[row]), column="excluded")
     return np.isin(texts, _TRUE)
 
 

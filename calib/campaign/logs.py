@@ -49,8 +49,8 @@ def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list
     files: list[LogFile] = []
     taken: dict[Path, int] = {}
 
-    def fault(found: str, expected: str, remedy: str, row: int) -> BadFileError:
-        return BadFileError(shown, found, expected, remedy, row=row, column="log")
+    def fault(actual: str, expected: str, remedy: str, row: int) -> BadFileError:
+        return BadFileError(shown, actual, expected, remedy, row=row, column="log")
 
     for index, (run_id, row) in enumerate(zip(map(str, runs.run_id), map(int, runs.line), strict=True)):
         if "log" in runs.labels:
@@ -146,15 +146,15 @@ def add_recognised(
 
     `columns`: changed in place; `mapped`: columns of `raw` to pass over; see `RawTable`.
     """
-    time, given = "t_s", set(columns)
-    for found, cells in raw.columns.items():
-        match = log_column(found)
-        if found in mapped or match.name not in LOG_COLUMNS or match.name in given:
+    time, present = "t_s", set(columns)
+    for header, cells in raw.columns.items():
+        match = log_column(header)
+        if header in mapped or match.name not in LOG_COLUMNS or match.name in present:
             continue
         if match.name in columns:
-            raise second_column(match, found, shown)
+            raise second_column(match, header, shown)
         border.recognised(shown, match)
-        time = found if match.name == "t_s" else time
+        time = header if match.name == "t_s" else time
         columns[match.name] = converted(cells, match.factor, match.offset)
     return time
 
@@ -204,8 +204,8 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
             row = int(line[gaps[0]])
             raise BadFileError(shown, "an empty cell", "a number in every row", remedy, row=row, column=name)
     if len(line) < 2:
-        found = "one row" if len(line) else "no rows"
-        raise BadFileError(shown, found, "one row a sample, two or more", "export the log again")
+        actual = "one row" if len(line) else "no rows"
+        raise BadFileError(shown, actual, "one row a sample, two or more", "export the log again")
 
 
 def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray | None = None) -> int | None:
@@ -304,8 +304,8 @@ class LogStack:
                 column, wraps = unwrap(column, offsets, bits)
                 for run in np.flatnonzero(wraps):
                     run_id, shown = names[int(run)]
-                    found = "found in the jumps; give encoder.wrap_bits to make it sure"
-                    how = "as the settings say" if encoder.wrap_bits else found
+                    source = "found in the jumps; give encoder.wrap_bits to make it sure"
+                    how = "as the settings say" if encoder.wrap_bits else source
                     text = f"{int(wraps[run])} overflow(s) of a {bits}-bit counter were undone ({how})"
                     border.say(f"{shown}, column {name}", text, "wrap", run_id=run_id)
             columns.add(name, column)

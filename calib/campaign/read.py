@@ -203,9 +203,9 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
     wander = float(np.std([rates.mean() for rates in known.values()], ddof=1)) if len(known) > 1 else 0.0
     for run in measured:
         alike = [one for other, one in known.items() if sessions[other] == sessions[run]] or list(known.values())
-        rests, more = ([known[run]], 0.0) if run in known else (alike, wander)
+        rests, drift = ([known[run]], 0.0) if run in known else (alike, wander)
         if np.isnan(turn[run]):
-            turn[run], sigma[run] = _turn(logs.of(run), rests, more)
+            turn[run], sigma[run] = _turn(logs.of(run), rests, drift)
     text = f"{len(measured)} run(s) integrated from the log's {GYRO}, less the bias at rest"
     if without:
         text += f"; {without} without a standstill of their own, less that of their session"

@@ -134,15 +134,15 @@ def _read(path: Path, shown: str, *asked: Wanted | Layout | None, streams: bool 
         expected = f"one of {', '.join(READERS)}, or the folder of a rosbag2 recording"
         raise BadFileError(shown, f"the suffix {path.suffix!r}", expected, "export the table in one of these formats")
     if not path.is_file() and not is_bag_folder(path):
-        found = "a folder or special file" if path.exists() else "no such file"
-        raise BadFileError(shown, found, "a readable file", "correct the path or put the file there")
+        actual = "a folder or special file" if path.exists() else "no such file"
+        raise BadFileError(shown, actual, "a readable file", "correct the path or put the file there")
     if streams and not holds_recording(path):
         raise BadFileError(shown, "a table", "a recording (bag, TDMS, .mat, .tum)", "read it as a table")
     try:
         return resolve_name(f"{__name__}.{name}")(path, shown, *asked)
     except OSError as error:
-        found = error.strerror or "an unreadable file"
-        raise BadFileError(shown, found, "a readable file", "check its rights") from error
+        actual = error.strerror or "an unreadable file"
+        raise BadFileError(shown, actual, "a readable file", "check its rights") from error
 
 
 _NUMERIC: Final = ("double", "single", "logical", *(f"{sign}int{8 << n}" for sign in ("", "u") for n in range(4)))
@@ -345,8 +345,8 @@ def _moments_ns(stamps: Any) -> IntArray:
     return np.asarray(seconds * NS_PER_S + fractions, dtype=np.int64)
 
 
-def _properties(place: str, found: Mapping[str, Any]) -> dict[str, str]:
-    return {f"{place}: {key}": str(value)[:200] for key, value in found.items()}
+def _properties(place: str, values: Mapping[str, Any]) -> dict[str, str]:
+    return {f"{place}: {key}": str(value)[:200] for key, value in values.items()}
 
 
 def _streams(group: str, channels: "Mapping[str, TdmsChannel]") -> list[Stream]:

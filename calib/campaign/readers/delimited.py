@@ -48,8 +48,8 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
     delimiter, skipped = _locate_header(data, layout, shown)
     start = _after(data, 0, skipped)
     if not data[start : _after(data, start, 1)].strip():
-        found = "an empty file" if not data.strip() else "an empty first line"
-        raise BadFileError(shown, found, "a header line with column names", "export the table again")
+        actual = "an empty file" if not data.strip() else "an empty first line"
+        raise BadFileError(shown, actual, "a header line with column names", "export the table again")
     if delimiter != "," and not any(note.code == "delimiter" for note in notes):
         notes.append(Note("info", shown, f"columns are separated by {_DELIMITERS[delimiter]}", "delimiter"))
     preamble = data[:start].decode("utf-8").splitlines() if skipped and layout.lab else []
@@ -80,7 +80,7 @@ def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
     """Read the plain ones of many small files, those of one header at once; else None."""
     tables: list[RawTable | None] = [None] * len(files)
     plain = ((index, _plain_csv(path, shown)) for index, (path, shown) in enumerate(files))
-    groups = grouped((found[0], (index, found[1])) for index, found in plain if found)
+    groups = grouped((parts[0], (index, parts[1])) for index, parts in plain if parts)
     for header, group in groups.items():
         names = [name.strip() for name in header.split(",")]
         keep = [name for name in names if name and wanted(name)]
@@ -119,9 +119,9 @@ def _plain_csv(path: Path, shown: str) -> tuple[str, bytes] | None:
 def _check_names(names: list[str], shown: str, row: int) -> None:
     filled = [name for name in names if name]
     if len(filled) > 1 and all(is_number(name) for name in filled):
-        found = f"numbers alone ({', '.join(filled[:4])})"
+        actual = f"numbers alone ({', '.join(filled[:4])})"
         remedy = "put a line of names above, as t_s,counts_left,counts_right; a mapping can rename them"
-        raise BadFileError(shown, found, "the names of the columns", remedy, row=row)
+        raise BadFileError(shown, actual, "the names of the columns", remedy, row=row)
     check_header(names, shown, row)
 
 
@@ -243,8 +243,8 @@ def _read_cells(
     try:
         rows: Rows = [(reader.line_num + skipped, row) for row in reader]
     except csv.Error as error:
-        found, at = f"text that is no table ({error})", reader.line_num + skipped
-        raise BadFileError(shown, found, "rows of separated cells", "export the file again", row=at) from error
+        actual, at = f"text that is no table ({error})", reader.line_num + skipped
+        raise BadFileError(shown, actual, "rows of separated cells", "export the file again", row=at) from error
     names, n_rows, recognised = heading(rows, layout, shown, above)
     _check_names(names, shown, skipped + 1)
     names, rows, omitted = table_rows(names, rows, n_rows, layout, shown)

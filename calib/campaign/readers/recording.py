@@ -324,15 +324,15 @@ def _twist(twist: Any) -> tuple[float, ...]:
 @lru_cache(maxsize=256)
 def _joint_columns(names: tuple[str, ...], lengths: tuple[int, ...]) -> tuple[tuple[str, ...], tuple[bool, ...]]:
     names = names or tuple(str(index) for index in range(max(lengths)))
-    given = tuple(length == len(names) for length in lengths)
-    fields = compress(("position", "velocity", "effort"), given)
-    return tuple(f"{field}.{name}" for field in fields for name in names), given
+    filled = tuple(length == len(names) for length in lengths)
+    fields = compress(("position", "velocity", "effort"), filled)
+    return tuple(f"{field}.{name}" for field in fields for name in names), filled
 
 
 def _joint_state(message: Any) -> list[Part]:
     values = message.position, message.velocity, message.effort
-    names, given = _joint_columns(tuple(message.name), tuple(map(len, values)))
-    return [("", names, [number for part in compress(values, given) for number in part.tolist()], message.header)]
+    names, filled = _joint_columns(tuple(message.name), tuple(map(len, values)))
+    return [("", names, [number for part in compress(values, filled) for number in part.tolist()], message.header)]
 
 
 def _transform(message: Any) -> Part:

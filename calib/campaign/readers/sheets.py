@@ -64,14 +64,14 @@ def heading(numbered: Rows, layout: Layout, shown: str, above: Sequence[Any] = (
     """
     lines, rows = zip(*numbered[:LOOKED_AT], strict=True)
     first = _texts(rows[0])
-    found = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
+    notes = [Note("info", shown, f"the header was found in row {lines[0]}", "preamble")] if lines[0] > 1 else []
     if not layout.lab:
         units = _texts(rows[1]) if len(rows) > 1 else []
         named = list(filter(None, units))
         if not named or not all(map(_is_unit, named)) or all(map(is_number, named)):
-            return first, 1, found
+            return first, 1, notes
         names, note = _with_units(first, units, shown)
-        return names, 2, [*found, note]
+        return names, 2, [*notes, note]
     if layout.header_row is None and len(filled_cells(first)) > 1 and all(map(is_number, filled_cells(first))):
         text = "no row names the columns; they are called column 1, column 2, ..."
         names = [f"column {number + 1}" for number in range(len(first))]
@@ -92,9 +92,9 @@ def heading(numbered: Rows, layout: Layout, shown: str, above: Sequence[Any] = (
     last = block[-1] + [""] * (max(map(len, block)) - len(block[-1]))
     names = _joined(last, [_texts(above), *block[:-1]] if grouped else block[:-1])
     if units_at is None:
-        return names, n_rows, found
+        return names, n_rows, notes
     names, note = _with_units(names, _texts(rows[units_at]), shown)
-    return names, n_rows, [*found, note]
+    return names, n_rows, [*notes, note]
 
 
 def looks_like_units(row: Sequence[Any]) -> bool:
@@ -214,9 +214,9 @@ def finished(
             continue
         time_ns, bad = table.moments_ns(cells)
         if bad is not None:
-            found = "an empty cell" if cells[bad] is None else repr(str(cells[bad])[:40])
+            actual = "an empty cell" if cells[bad] is None else repr(str(cells[bad])[:40])
             expected, remedy = f"a time as {table.TIME_FORMATS[form][0]}", "correct the cell, or remove the row"
-            raise BadFileError(shown, found, expected, remedy, row=int(line[bad]), column=name)
+            raise BadFileError(shown, actual, expected, remedy, row=int(line[bad]), column=name)
         epochs[name] = int(time_ns[0])
         values[name] = (time_ns - time_ns[0]) / table.NS_PER_S
         written[name] = str(cells[0]).strip(), table.format_words(cells)

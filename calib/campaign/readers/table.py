@@ -226,8 +226,8 @@ def numbers(
         if not abs(value) <= LARGEST_VALUE and not (isinstance(cell, float) and np.isnan(cell)):
             raise _no_number(shown, column, int(line[index]), str(cell))
         out[index] = value
-    for code, found in odd.items():
-        text = f"{len(found)} cells were read as is {found[0][0]!r}: as {found[0][1]}"
+    for code, examples in odd.items():
+        text = f"{len(examples)} cells were read as is {examples[0][0]!r}: as {examples[0][1]}"
         notes.append(Note("info", f"{shown}, column {column}", text, code))
     return out, used_comma
 
@@ -241,8 +241,8 @@ def _without_marks(text: str, marks: set[str]) -> str | None:
 
 def _thousands(cells: npt.NDArray[Any], decimal_comma: bool | None) -> set[str]:
     texts = [cell.strip() for cell in cells if isinstance(cell, str)]
-    parts = [found for text in texts if (found := _GROUPED.fullmatch(text)) and not _AMBIGUOUS.fullmatch(text)]
-    marks = {found[1] for found in parts} | ({"x"} if all(map(_HEX.fullmatch, texts)) else set())
+    parts = [match for text in texts if (match := _GROUPED.fullmatch(text)) and not _AMBIGUOUS.fullmatch(text)]
+    marks = {match[1] for match in parts} | ({"x"} if all(map(_HEX.fullmatch, texts)) else set())
     for mark, form, other in ((".", _POINT, True), (",", _COMMA, False)):
         decimal = any(mark in text and form.fullmatch(text) and not _AMBIGUOUS.fullmatch(text) for text in texts)
         marks |= {mark} if decimal_comma is other and not decimal else set()
@@ -256,9 +256,9 @@ def _no_number(shown: str, column: str, row: int, text: str) -> BadFileError:
 
 
 def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
-    found = f"{text!r}, which may mean {text.replace(',', '.')} or {text.replace(',', '').replace('.', '')}"
+    actual = f"{text!r}, which may mean {text.replace(',', '.')} or {text.replace(',', '').replace('.', '')}"
     expected, remedy = "a number that can be read in one way only", "export it without marks between thousands"
-    return BadFileError(shown, found, expected, remedy, row=row, column=column)
+    return BadFileError(shown, actual, expected, remedy, row=row, column=column)
 
 
 def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
@@ -267,8 +267,8 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
     for cells in columns:
         for cell in cells if cells.dtype == object else ():
             if isinstance(cell, str) and not _AMBIGUOUS.fullmatch(text := cell.strip()):
-                found = _GROUPED.fullmatch(text)
-                decimal = found and (found[2] or {",": ".", ".": ","}.get(found[1]))
+                match = _GROUPED.fullmatch(text)
+                decimal = match and (match[2] or {",": ".", ".": ","}.get(match[1]))
                 comma = comma or decimal == "," or ("," in text and _COMMA.fullmatch(text) is not None)
                 point = point or decimal == "." or ("." in text and _POINT.fullmatch(text) is not None)
         if comma and point:
@@ -298,8 +298,8 @@ def notes_of_commas(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: I
 def time_format(text: str) -> str | None:
     """Return the name of a text's format (of `TIME_FORMATS`), or None."""
     clean = text.strip()
-    found = next((name for name, form in _TIMES.items() if form.fullmatch(clean)), None)
-    return None if found == "time_of_day" and clean.count(":") != 2 else found
+    kind = next((name for name, form in _TIMES.items() if form.fullmatch(clean)), None)
+    return None if kind == "time_of_day" and clean.count(":") != 2 else kind
 
 
 def moment_ns(text: str, *, month_first: bool = False) -> int:

@@ -103,8 +103,8 @@ def _opened(path: Path, shown: str, *, results: bool = True) -> Iterator[Any]:
 def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> tuple[str, Rows, int, list[Note]]:
     # its name, rows that hold something, the header's index among them, and what was filled in
     if layout.sheet is not None and layout.sheet not in book.sheetnames:
-        found = f"the sheets {', '.join(map(str, book.sheetnames))[:200]}"
-        raise BadFileError(shown, found, f"a sheet {layout.sheet!r}", "correct sheet of the mapping")
+        actual = f"the sheets {', '.join(map(str, book.sheetnames))[:200]}"
+        raise BadFileError(shown, actual, f"a sheet {layout.sheet!r}", "correct sheet of the mapping")
     first: tuple[str, Rows, int, list[Note]] = ("", [], 0, [])
     for sheet in (sheet for sheet in book.worksheets if layout.sheet in (None, sheet.title)):
         sheet.reset_dimensions()
@@ -194,8 +194,8 @@ def check_size(path: Path, shown: str) -> int:
         with zipfile.ZipFile(path) as archive:
             return _check_parts(archive, shown)
     except _DAMAGE as error:
-        found = "no workbook (it is not a zip archive, or a damaged one)"
-        raise BadFileError(shown, found, "an .xlsx file", "save it again as .xlsx, or export it as CSV") from error
+        actual = "no workbook (it is not a zip archive, or a damaged one)"
+        raise BadFileError(shown, actual, "an .xlsx file", "save it again as .xlsx, or export it as CSV") from error
 
 
 def _check_parts(archive: zipfile.ZipFile, shown: str) -> int:
@@ -289,8 +289,8 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
 
 
 def _damaged(shown: str, error: Exception, column: str | None = None) -> BadFileError:
-    found = f"a damaged parquet file ({error_words(error)})"
-    return BadFileError(shown, found, "a whole one", "write it again", column=column)
+    actual = f"a damaged parquet file ({error_words(error)})"
+    return BadFileError(shown, actual, "a whole one", "write it again", column=column)
 
 
 def read_parquet(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTable:  # noqa: ARG001 - a reader's form
