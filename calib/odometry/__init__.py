@@ -206,8 +206,8 @@ def _laid_flat(
     right = np.ascontiguousarray(travel_right_m, dtype=np.float64)
     shape = left.shape
     if right.shape != shape or left.ndim not in (1, 2):
-        found = f"travel: found shapes {shape} (left) and {right.shape} (right)"
-        raise BadInputError(f"{found}; expected the same, of one or two axes; give one value a step for each wheel")
+        text = f"travel: found shapes {shape} (left) and {right.shape} (right)"
+        raise BadInputError(f"{text}; expected the same, of one or two axes; give one value a step for each wheel")
     track = floats(track_m)
     if offsets is not None:
         edges = np.asarray(offsets, dtype=np.int64)

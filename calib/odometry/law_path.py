@@ -63,11 +63,11 @@ def vehicle_of(source: Path | None, **changes: float | None) -> Vehicle:
             from calib.coefficients.build import coefficients_of
 
             vehicle = coefficients_of(source).file.loaded
-    given: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
-    for name, value in given.items():
+    stated: dict[str, Any] = {name: value for name, value in changes.items() if value is not None}
+    for name, value in stated.items():
         if not math.isfinite(value) or (not name.startswith("cog") and value <= 0.0):
             raise BadInputError(f"{name}: found {value!r}; expected a finite number above 0; correct it")
-    return replace(vehicle, **given)
+    return replace(vehicle, **stated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,8 +208,8 @@ def law_path(
         driven.append(Driven(poses, errors, systematic, random, std, widths, variance.sum(axis=0), dofs))
     interval = None
     if rng is not None:
-        more = np.stack([d / rng.chisquare(d, draws) for d in driven[1].dof]) - 1.0
-        square = [float(drive.rms_m[-1]) ** 2 + drive.by_wheel_m2 @ more for drive in driven]
+        excess = np.stack([d / rng.chisquare(d, draws) for d in driven[1].dof]) - 1.0
+        square = [float(drive.rms_m[-1]) ** 2 + drive.by_wheel_m2 @ excess for drive in driven]
         low, high = np.quantile(np.sqrt(square[0] / square[1]), [0.025, 0.975]).tolist()
         interval = low, high
     return LawPath(loading, reference_N, distance, reference, driven[0], driven[1], interval)
@@ -232,8 +232,8 @@ def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[F
 def _half_widths(by_wheel: tuple[FloatArray, FloatArray], std: dict[str, float]) -> dict[str, float]:
     halves = {}
     for (name, size), variance, dof in zip(std.items(), *by_wheel, strict=True):
-        given = NORMAL_95**2 * (size**2 - variance.sum())
-        halves[name] = math.sqrt(max(half_width(np.sqrt(variance), dof.tolist()) ** 2 + given, 0.0))
+        excess = NORMAL_95**2 * (size**2 - variance.sum())
+        halves[name] = math.sqrt(max(half_width(np.sqrt(variance), dof.tolist()) ** 2 + excess, 0.0))
     return halves
 
 

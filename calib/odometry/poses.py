@@ -132,8 +132,8 @@ def read_tum(path: Path) -> tuple[FloatArray, Poses]:
     (stream,) = read_recording(path, str(path)).streams
     x_m, y_m, yaw_rad = (stream.columns[name] for name in ("x", "y", "yaw"))
     if (lost := np.isnan(yaw_rad)).any():
-        found = f"a quaternion of zeros in pose {int(lost.argmax()) + 1}"
-        raise BadFileError(path, found, "a rotation", "correct the line")
+        actual = f"a quaternion of zeros in pose {int(lost.argmax()) + 1}"
+        raise BadFileError(path, actual, "a rotation", "correct the line")
     return np.asarray(stream.time_ns) / NS_PER_S, Poses(x_m, y_m, yaw_rad)
 
 

@@ -154,19 +154,19 @@ def replay(
 def _doubts(campaign: Campaign, along: FloatArray) -> list[str]:
     """Return what speaks against logs and law; `along` (n_runs,): end errors along the way, in those expected."""
     of_loads = [*measurements.wheel_loads(campaign), *settings.logged_loads(campaign)]
-    said = [*{note.code: note.sentence for note in reversed(of_loads) if "log" in note.where}.values()]
+    notes = [*{note.code: note.sentence for note in reversed(of_loads) if "log" in note.where}.values()]
     of_others = {note.run_id: note for note in counts.counts_against_log(campaign)}
     if of_others:
         first = next(iter(of_others.values())).text.partition(";")[0]
         text = f"{len(of_others)} log(s) count other than the run table, whose end poses are those of the reference"
         named = f"{checks.listed([*of_others])}; the first: {first}"
-        said.append(f"{text} ({named}): cut, exchanged or of another run? 'calib check' says more")
+        notes.append(f"{text} ({named}): cut, exchanged or of another run? 'calib check' says more")
     known = along[np.isfinite(along) & ~np.isin(campaign.runs.run_id, [*of_others])]
     far = int((np.abs(known) > FAR_SD).sum())
     if far >= FAR_RUNS and far > FAR_SHARE * len(known):
         text = f"{far} of {len(known)} runs end more than {FAR_SD:g} standard deviations of the prediction off"
-        said.append(f"{text} along the way: the coefficients no longer fit; 'calib fit NEW --model OLD' compares them")
-    return said
+        notes.append(f"{text} along the way: the coefficients no longer fit; 'calib fit NEW --model OLD' compares them")
+    return notes
 
 
 def _driven(

@@ -122,8 +122,8 @@ def find_route(name: str) -> Route:
         return read_route(Path(name))
     if name.endswith(".tum"):
         return _driven_route(Path(name))
-    found = f"route: found {name!r}"
-    raise BadInputError(f"{found}; expected {', '.join(NAMED)}, or a file ending in .toml or .tum; choose one of them")
+    text = f"route: found {name!r}"
+    raise BadInputError(f"{text}; expected {', '.join(NAMED)}, or a file ending in .toml or .tum; choose one of them")
 
 
 def _driven_route(path: Path) -> Route:
@@ -143,8 +143,8 @@ def read_route(path: Path) -> Route:
     That has ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
     """
 
-    def bad(found: str, expected: str, column: str) -> BadFileError:
-        return BadFileError(path, found=found, expected=expected, remedy="correct the route file", column=column)
+    def bad(actual: str, expected: str, column: str) -> BadFileError:
+        return BadFileError(path, found=actual, expected=expected, remedy="correct the route file", column=column)
 
     document = load_toml(path, str(path), remedy="give the path of a route file")
     if document.get("format") != FORMAT:
@@ -159,8 +159,8 @@ def read_route(path: Path) -> Route:
     for number, piece in enumerate(pieces, start=1):
         where = f"segment {number}"
         if not isinstance(piece, dict) or frozenset(piece) not in _KEYS:
-            found = ", ".join(sorted(piece)) or "nothing" if isinstance(piece, dict) else repr(piece)
-            raise bad(found, "a table of straight_m, or radius_m and turn_deg (or turn_rad)", where)
+            actual = ", ".join(sorted(piece)) or "nothing" if isinstance(piece, dict) else repr(piece)
+            raise bad(actual, "a table of straight_m, or radius_m and turn_deg (or turn_rad)", where)
         for key, value in piece.items():
             number_like = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LONGEST
             if not number_like or (key == "radius_m" and value < 0.0):
@@ -191,9 +191,9 @@ class Axle:
         for name, part in (("left radius", left), ("right radius", right), ("track", track)):
             impossible = ~((part >= SHORTEST_M) & (part <= LONGEST_M))
             if part.ndim > 1 or impossible.any():
-                found = f"{part.shape} of them" if part.ndim > 1 else f"{np.atleast_1d(part[impossible])[0]:g} m"
+                actual = f"{part.shape} of them" if part.ndim > 1 else f"{np.atleast_1d(part[impossible])[0]:g} m"
                 expected = f"lengths from {SHORTEST_M:g} to {LONGEST_M:g} m, one a vehicle"
-                raise BadInputError(f"{name}: found {found}; expected {expected}")
+                raise BadInputError(f"{name}: found {actual}; expected {expected}")
         return left, right, track
 
 
@@ -301,8 +301,8 @@ def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:
         return radius
     if len(radius) == len(edges) - 1:
         return np.repeat(radius, np.diff(edges))
-    found = f"radii: found {len(radius)} values"
-    raise BadInputError(f"{found}; expected one, one a run ({len(edges) - 1}) or one a sample ({n})")
+    text = f"radii: found {len(radius)} values"
+    raise BadInputError(f"{text}; expected one, one a run ({len(edges) - 1}) or one a sample ({n})")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -61,8 +61,8 @@ def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_r
     labels = {"run_id": run_id} | {name: getattr(design, name) for name in ("session", "kind", "direction")}
     if logged:
         labels["log"] = np.array([f"logs/{run}.csv" for run in run_id])
-    given = {column: values.astype(np.float64) for column, values in numbers.items()}
-    table = RunTable(labels=labels, numbers=given, excluded=np.zeros(len(design), dtype=bool), line=number + 2)
+    columns = {column: values.astype(np.float64) for column, values in numbers.items()}
+    table = RunTable(labels=labels, numbers=columns, excluded=np.zeros(len(design), dtype=bool), line=number + 2)
     sigmas = (noise.laser_m, noise.ref_xy_m, noise.ref_theta_rad)
     laser_m, xy_m, theta_rad = (float(f"{sigma * noise.stated_ratio:.2g}") for sigma in sigmas)
     return Campaign(

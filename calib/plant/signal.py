@@ -103,8 +103,8 @@ def recalibration(world: World, record: Record) -> FloatArray:
     (path, turn, way, turned), track = _levers(record), world.model.track_m
     left, right = way - 0.5 * track * turned, way + 0.5 * track * turned
 
-    def to(further: FloatArray, more: FloatArray) -> FloatArray:
-        return np.asarray(np.einsum("kr,krc->rc", further, path) + np.einsum("kr,krc->rc", more, turn))
+    def to(further: FloatArray, turning: FloatArray) -> FloatArray:
+        return np.asarray(np.einsum("kr,krc->rc", further, path) + np.einsum("kr,krc->rc", turning, turn))
 
     parts = (to(0.5 * left, -left / track), to(0.5 * right, right / track), to(0 * left, -turned))
     return np.stack(parts, axis=-1)

@@ -73,8 +73,8 @@ def _creep_two(world: World, size: FloatArray, knobs: Knobs) -> None:
     world.enlarge(-size * left * start, -size * right * start)
 
     def during(now: Moment) -> None:
-        more = grown(minutes + now.t_s / 60) - start
-        now.roll_more(-size * left * more, -size * right * more)
+        growth = grown(minutes + now.t_s / 60) - start
+        now.roll_more(-size * left * growth, -size * right * growth)
 
     world.during.append(during)
 
