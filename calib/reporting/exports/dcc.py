@@ -126,9 +126,9 @@ def certificate_of(section: Any, where: str) -> Certificate:
                 "of a certificate is invented"
             ) from error
         place, fault = places[0]
-        found = repr(fault.get("input"))[:80]
+        actual = repr(fault.get("input"))[:80]
         expected = fault["msg"].removeprefix("Value error, ")
-        raise BadInputError(f"{where}, certificate.{place}: found {found}; expected {expected}; correct it") from error
+        raise BadInputError(f"{where}, certificate.{place}: found {actual}; expected {expected}; correct it") from error
 
 
 NAMESPACES: Final = {
@@ -152,10 +152,10 @@ CONDITIONS: Final = {
 
 def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
     """Return the certificate of a campaign or a result folder, as one XML file; see `export_from`."""
-    given = opened(path, progress=progress)
-    source = source_of(given, issued="2000-01-01", accept=accept, where=path)
-    fit, driven = source.fit, isinstance(given, Campaign)
-    section = given.extra.get("certificate") if isinstance(given, Campaign) else fit.provenance.get("certificate")
+    subject = opened(path, progress=progress)
+    source = source_of(subject, issued="2000-01-01", accept=accept, where=path)
+    fit, driven = source.fit, isinstance(subject, Campaign)
+    section = subject.extra.get("certificate") if isinstance(subject, Campaign) else fit.provenance.get("certificate")
     stated = certificate_of(section, str(path / "campaign.toml" if driven else path))
     if not fit.passed and not accept:
         (_, first), *_ = fit.failed_checks

@@ -138,11 +138,11 @@ def spread_of(path: PredictedPath, units: BoolArray, model: str) -> Spread:
     """Return the components of a model of `MODELS` on the paths of some observations (n_obs,)."""
     s = path.s
     names, component = MODELS[model]
-    found = [component(poses) for poses, on in zip(path.traces(), units, strict=True) if on]
-    reference = np.zeros((len(found), 3, 3))
+    components = [component(poses) for poses, on in zip(path.traces(), units, strict=True) if on]
+    reference = np.zeros((len(components), 3, 3))
     reference[:, 0, 0] = reference[:, 1, 1] = s.sigma[units, 1] ** 2
     reference[:, 2, 2] = s.sigma[units, 3] ** 2
-    return Spread(names, np.stack(found, axis=1), reference)
+    return Spread(names, np.stack(components, axis=1), reference)
 
 
 def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None) -> FloatArray:
@@ -172,8 +172,8 @@ def _fit(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None)
     if not len(unit):
         return misfit(unit)[0], unit
     start = np.full(len(unit), 1.0 / len(unit)) if begin is None else begin / unit
-    found = minimize(misfit, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(unit))
-    return float(found.fun), np.asarray(found.x * unit)
+    optimum = minimize(misfit, start, jac=True, method="L-BFGS-B", bounds=[(0.0, None)] * len(unit))
+    return float(optimum.fun), np.asarray(optimum.x * unit)
 
 
 def stated(spread: Spread, residuals: FloatArray, raised: float = 1.0) -> tuple[dict[str, float], tuple[str, ...]]:
@@ -193,8 +193,8 @@ def stated(spread: Spread, residuals: FloatArray, raised: float = 1.0) -> tuple[
         return float(BOUNDS[bisect(BOUNDS, limit, key=lambda size: _fit(spread.free(others, size), residuals)[0]) - 1])
 
     free, unknown = spread.free(on), tuple(compress(spread.names, ~on))
-    found = zip(free.names, (raised * sizes_of(free, residuals)).tolist(), strict=True)
-    return dict.fromkeys(spread.names, 0.0) | dict(found) | {name: most(name) for name in unknown}, unknown
+    sizes = zip(free.names, (raised * sizes_of(free, residuals)).tolist(), strict=True)
+    return dict.fromkeys(spread.names, 0.0) | dict(sizes) | {name: most(name) for name in unknown}, unknown
 
 
 def ratios(variance: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -230,14 +230,14 @@ def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
         added[held] = np.einsum("c,cuii->ui", sizes, spread.components[:, held])
     raised = max(1.0, float(np.exp(2.0 * np.mean(np.log(ratios(reference + added, residuals))))))
     variance = reference + raised * added
-    found = ratios(variance, residuals)
+    ratio = ratios(variance, residuals)
     # degrees of freedom by the squares' own scatter (Satterthwaite): fewer with heavy tails
-    normal = found**2 * variance
+    normal = ratio**2 * variance
     scatter = np.sum((residuals**2 - normal) ** 2, axis=0)
     freedom = 2.0 * np.sum(residuals**2, axis=0) ** 2 / np.maximum(scatter, 2.0 * np.sum(normal**2, axis=0))
     tails = np.array([0.5 + 0.5 * COVERAGE, 0.5 - 0.5 * COVERAGE])
-    interval = found[:, None] * np.sqrt(freedom[:, None] / chi2.ppf(tails, freedom[:, None]))
-    return Fitted(raised * full, found, interval, raised)
+    interval = ratio[:, None] * np.sqrt(freedom[:, None] / chi2.ppf(tails, freedom[:, None]))
+    return Fitted(raised * full, ratio, interval, raised)
 
 
 def form_ratios(amcl: Spread, others: Sequence[Spread], residuals: FloatArray) -> FloatArray:
@@ -277,14 +277,14 @@ class _KindNoise:
 
 def kind_noise(models: Sequence[Spread], residuals: FloatArray, kinds: StrArray) -> tuple[_KindNoise, ...]:
     """Return the alphas of each kind of enough runs; `models`: of `MODELS`."""
-    found = []
+    rows = []
     for kind in sorted(set(kinds)) if len(set(kinds)) > 1 else ():
         on = kinds == kind
         if on.sum() >= FEWEST_RUNS:
             amcl, *others = (model.of(on) for model in models)
             alphas = stated(amcl, residuals[on])
-            found.append(_KindNoise(str(kind), int(on.sum()), *alphas, form_ratios(amcl, others, residuals[on])))
-    return tuple(found)
+            rows.append(_KindNoise(str(kind), int(on.sum()), *alphas, form_ratios(amcl, others, residuals[on])))
+    return tuple(rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -348,8 +348,8 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
     residuals, kinds = diagnosis.held_out.after[units][:, POSE], observations.labels["kind"][units]
     path = diagnosis.correction.path
     models = amcl, walk, constant = tuple(spread_of(path, units, model) for model in MODELS)
-    found, form = fitted(amcl, residuals, kinds), form_ratios(amcl, (walk, constant), residuals)
-    alphas, unknown = stated(amcl, residuals, found.raised)
+    noise, form = fitted(amcl, residuals, kinds), form_ratios(amcl, (walk, constant), residuals)
+    alphas, unknown = stated(amcl, residuals, noise.raised)
     walks, unknown_walks = stated(walk, residuals)
     spread = np.einsum("uii->ui", amcl.covariance(np.array(list(alphas.values()))))
     return MotionNoise(
@@ -359,7 +359,7 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
         alphas=alphas,
         undetermined=unknown + unknown_walks,
         walks=walks,
-        held_out=found,
+        held_out=noise,
         form=form,
         by_kind=kind_noise(models, residuals, kinds) if is_beyond(form) else (),
         bounded=ratios(spread, residuals) if unknown else None,

@@ -174,18 +174,18 @@ def residuals(left: WheelFit, right: WheelFit, session: StrArray) -> Figure:
     axes = figure.subplots(2, 3, sharey=True)
     sessions = style.named_groups(session, NO_SESSION)
     for row, fit in enumerate((left, right)):
-        rest = UM * fit.residual_m
+        residual_um = UM * fit.residual_m
         # Blom's plotting positions
-        quantile = ndtri((rankdata(rest, method="ordinal") - 0.375) / (len(rest) + 0.25))
-        for column, x in enumerate((fit.load_N, np.arange(1.0, len(rest) + 1), quantile)):
+        quantile = ndtri((rankdata(residual_um, method="ordinal") - 0.375) / (len(residual_um) + 0.25))
+        for column, x in enumerate((fit.load_N, np.arange(1.0, len(residual_um) + 1), quantile)):
             axis = axes[row, column]
             axis.axhline(0.0, color=GREY, lw=0.6)
-            style.draw_groups(axis, sessions, x, rest, ms=3)
+            style.draw_groups(axis, sessions, x, residual_um, ms=3)
             axis.tick_params(labelleft=column == 0)
             axis.margins(x=0.05, y=0.08)
         style.over_runs(axes[row, 1], "")
         reach = np.array([quantile.min(), quantile.max()])
-        axes[row, 2].plot(reach, rest.mean() + rest.std(ddof=1) * reach, color=style.INK, lw=0.8)
+        axes[row, 2].plot(reach, residual_um.mean() + residual_um.std(ddof=1) * reach, color=style.INK, lw=0.8)
         axes[row, 0].set(ylabel="radius minus law (µm)", title=f"{fit.wheel.capitalize()} wheel, against load")
         axes[row, 1].set_title("in the order driven")
         axes[row, 2].set_title("against a normal distribution")
@@ -254,8 +254,8 @@ def draw_paths(traces: "Sequence[RunTrace]") -> Figure:
             end = {"marker": "o", "markevery": [-1], "ms": 1.2, "zorder": 4}
             dots = ":" if len(trace.seen) > 1 else "none"
             (handles["reference"],) = axes.plot(*trace.reference_m.T, color=INK, lw=0.6, ls=dots, **end)
-        some = f"{MOST_PATHS} of " if len(chosen) > MOST_PATHS else ""
-        axes.set_title(f"{kind or 'all runs'} ({some}{len(chosen)})")
+        share = f"{MOST_PATHS} of " if len(chosen) > MOST_PATHS else ""
+        axes.set_title(f"{kind or 'all runs'} ({share}{len(chosen)})")
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(xlabel="x (m)", ylabel="y (m)")
         axes.autoscale_view()

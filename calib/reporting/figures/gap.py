@@ -255,7 +255,7 @@ def _classes(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray, Floa
     if len(values) > 8:
         index = np.searchsorted(np.quantile(x, np.linspace(0, 1, 9)[1:-1]), x, side="right")
     classes = [(x[index == k], y[index == k]) for k in np.unique(index)]
-    rows = [(here.mean(), there.mean(), half_of_mean(there) if len(there) > 1 else 0.0) for here, there in classes]
+    rows = [(at.mean(), sizes.mean(), half_of_mean(sizes) if len(sizes) > 1 else 0.0) for at, sizes in classes]
     centre, mean, error = np.array(rows).T
     return centre, mean, error
 
@@ -323,8 +323,8 @@ def plan_matrix(outlook: Outlook) -> Figure:
     image = axis.imshow(shown, cmap=colours, norm=BoundaryNorm(list(BOUNDS), colours.N), aspect="auto")
     names = [name.replace("_", " ") for name in outlook.effects]
     axis.set_xticks(range(n + 1), ["(detected)", *names], rotation=90)
-    told = outlook.told_apart
-    rows = [f"{name}  {'told apart' if yes else '–'}" for name, yes in zip(names, told, strict=True)]
+    apart = outlook.told_apart
+    rows = [f"{name}  {'told apart' if yes else '–'}" for name, yes in zip(names, apart, strict=True)]
     axis.set_yticks(range(n), rows)
     axis.tick_params(length=0, labelsize=5.5)
     axis.set_xticks(np.arange(-0.5, n + 1), minor=True)
@@ -333,7 +333,7 @@ def plan_matrix(outlook: Outlook) -> Figure:
     axis.grid(which="minor", color="white", lw=0.5)
     axis.tick_params(which="minor", length=0)
     axis.axvline(0.5, color=INK, lw=0.8)
-    axis.set_title(f"{int(told.sum())} of {n + len(outlook.absent)} effects can be told apart at their typical size")
+    axis.set_title(f"{int(apart.sum())} of {n + len(outlook.absent)} effects can be told apart at their typical size")
     axis.set_ylabel("effect at work")
     axis.set_xlabel("effect that might be named instead")
     bar = figure.colorbar(image, ax=axis, spacing="uniform", shrink=0.5, pad=0.01)
