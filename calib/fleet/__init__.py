@@ -258,8 +258,8 @@ def quantities_of(
     populations = {}
     for name, column in own.items():
         known = usual & np.isfinite(column)
-        if found := population(column[known], std[name][known]):
-            populations[name] = found
+        if estimate := population(column[known], std[name][known]):
+            populations[name] = estimate
     means = {name: populations[name].mean for name in compared if name in populations}
     middle = {name: float(np.nanmean(own[name])) for name in compared if name not in means} | means
     stay = (replace(one, fleet=one.fleet + middle[one.quantity]) for one in apart if one.vehicle not in drifting)
@@ -275,7 +275,7 @@ def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, st
 def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> list[tuple[LabelDifference, BoolArray]]:
     # stepwise, the most significant first: beside a label that differs all others seem to differ the other way
     residual, labelled = {name: column.copy() for name, column in values.items()}, [*_labelled(vehicles, labels)]
-    found = []
+    differences = []
     for _ in range(len(labelled) * len(residual)):
         candidates = []
         for label, value, with_label in labelled:
@@ -290,8 +290,8 @@ def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> li
             break
         clearest, inside = min(further, key=lambda one: (one[0].difference.p_value, one[0].value, one[0].quantity))
         residual[clearest.quantity][inside] -= clearest.difference.size
-        found.append((clearest, inside))
-    return found
+        differences.append((clearest, inside))
+    return differences
 
 
 def _outliers_of(vehicles: Sequence[str], own: Columns, values: Columns, std: Columns) -> tuple[Outlier, ...]:
@@ -346,12 +346,12 @@ def shared_causes(records: Sequence[VehicleResult], labels: Labels) -> tuple[Sha
     done = [record for record in records if record.status == "done"]
     names = [record.name for record in done]
     findings = _findings(done)
-    counted = Counter(what for found in findings for what in found)
+    counted = Counter(what for codes in findings for what in codes)
     often = [(what, count) for what, count in counted.most_common() if count >= FEWEST_SHARING]
     whole = [SharedCause(what, "", "", count, len(done)) for what, count in often]
     by_label: list[SharedCause] = []
     for what, _ in sorted(often):
-        shows = np.array([what in found for found in findings])
+        shows = np.array([what in codes for codes in findings])
         by_label += [_compared(what, *having, shows) for having in _labelled(names, labels)]
     special = compress(by_label, false_discovery(np.array([cause.p_value for cause in by_label])))
     return (*whole, *sorted(special, key=lambda cause: (cause.p_value, cause.what, cause.value)))
@@ -361,13 +361,13 @@ def _findings(records: Sequence[VehicleResult]) -> list[set[str]]:
     places = _places(records)
     findings = []
     for record in records:
-        found = {str(code) for level in ("wrong", "suspicious") for code in record.values.get(level, ())}
+        codes = {str(code) for level in ("wrong", "suspicious") for code in record.values.get(level, ())}
         for cause in record.values.get("causes", ()):
             effect = str(cause["effect"])
             at, size = cause.get("x_m", np.inf), cause.get("size_m", 0.0)
             x_m = next((x_m for x_m in places.get(effect, ()) if abs(at - x_m) <= size), None)
-            found.add(effect if x_m is None else f"{effect.replace('_', ' ')} at x = {x_m:g} m")
-        findings.append(found)
+            codes.add(effect if x_m is None else f"{effect.replace('_', ' ')} at x = {x_m:g} m")
+        findings.append(codes)
     return findings
 
 
@@ -375,8 +375,8 @@ def _places(records: Sequence[VehicleResult]) -> dict[str, list[float]]:
     causes = [cause for record in records for cause in record.values.get("causes", ()) if "x_m" in cause]
     named = grouped((str(cause["effect"]), (float(cause["x_m"]), float(cause["size_m"]))) for cause in causes)
     places: dict[str, list[float]] = {}
-    for effect, found in named.items():
-        x, size = np.array(found).T
+    for effect, pairs in named.items():
+        x, size = np.array(pairs).T
         near = np.abs(x[:, None] - x) <= size[:, None]
         left = np.ones(len(x), dtype=np.bool_)
         while (counts := np.where(left, (near & left).sum(axis=1), 0)).max() >= FEWEST_SHARING:

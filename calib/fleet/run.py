@@ -168,9 +168,9 @@ def view_of(records: Sequence[VehicleRecord], labels: Labels) -> FleetView:
             values[name] = np.array([getattr(line, f"{what}_{unit}") for line in lines])
             std[name] = np.array([getattr(line, f"{what}_std_{of_unit}") for line in lines])
     names, drift = [record.vehicle for record in fitted], frozenset(one.vehicle for one in drifting)
-    found = quantities_of(names, values, std, labels, drift)
+    view = quantities_of(names, values, std, labels, drift)
     n_failed = len(records) - len(fitted)
-    return FleetView(len(records), len(fitted), n_failed, found.populations, found.outliers, drifting, found.common)
+    return FleetView(len(records), len(fitted), n_failed, view.populations, view.outliers, drifting, view.common)
 
 
 def drifts_of(fitted: Sequence[VehicleRecord]) -> list[tuple[VehicleRecord, str, Drift]]:
@@ -244,8 +244,8 @@ def survey_fleet(
     records = tuple(VehicleResult(**kept[name].values()) for name in members)
     labels = labels_of(folder, tuple(members.values()))
     shared = fleet.shared_causes(records, labels)
-    found = _quantities(records, labels)
-    return Survey(what, records, shared, n_new, len(members) - n_new, found, any_simulated(folder))
+    quantities = _quantities(records, labels)
+    return Survey(what, records, shared, n_new, len(members) - n_new, quantities, any_simulated(folder))
 
 
 def _results(what: str, members: Sequence[Member]) -> list[Kept]:

@@ -52,9 +52,9 @@ def members_of(folder: Path) -> tuple[Member, ...]:
     within) of ``.parquet`` files with the columns of ``runs.csv``.
     """
     if not folder.is_dir():
-        found = "a file" if folder.exists() else "no such folder"
+        actual = "a file" if folder.exists() else "no such folder"
         expected = "a folder with one campaign folder a vehicle, or a dataset partitioned by vehicle"
-        raise BadFileError(folder, found, expected, "give the fleet's folder")
+        raise BadFileError(folder, actual, expected, "give the fleet's folder")
     folder = folder.resolve()
     members = _dataset(folder) if (folder / SETTINGS).is_file() else _campaigns(folder)
     if not members:
@@ -134,8 +134,8 @@ def labels_of(folder: Path, members: Sequence[Member]) -> dict[str, dict[str, st
         return {}
     columns = dict(read_table(path, LABELS).columns)
     if "vehicle" not in columns:
-        found, remedy = f"the columns {', '.join(columns)[:80]}", "name the vehicles as their folders are named"
-        raise BadFileError(LABELS, found, "a column vehicle", remedy)
+        actual, remedy = f"the columns {', '.join(columns)[:80]}", "name the vehicles as their folders are named"
+        raise BadFileError(LABELS, actual, "a column vehicle", remedy)
     ids = [str(cell) for cell in columns.pop("vehicle")]
     known = {member.vehicle for member in members}
     return {
@@ -233,8 +233,8 @@ def _read(path: Path) -> dict[str, Kept]:
                 values = Kept("", "", line).values()
                 kept[values["name"]] = Kept(values["name"], values["key"], line)
     if whole and not sealed:
-        found = f"{path}: found no record of calib; expected those of an earlier run, or no file"
-        raise BadInputError(f"{found}; choose another folder, or move the file away")
+        text = f"{path}: found no record of calib; expected those of an earlier run, or no file"
+        raise BadInputError(f"{text}; choose another folder, or move the file away")
     return kept
 
 

@@ -45,8 +45,8 @@ def engine(workers: int = 1, scheduler: str = "") -> "Iterator[Engine]":
 
     Raises RefusedError where the scheduler does not answer.
     """
-    made = DaskEngine(scheduler) if scheduler else _ProcessEngine(workers) if workers > 1 else Engine()
-    with closing(made) as opened:
+    backend = DaskEngine(scheduler) if scheduler else _ProcessEngine(workers) if workers > 1 else Engine()
+    with closing(backend) as opened:
         yield opened
 
 

@@ -198,8 +198,8 @@ def judged(
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
         # scatter over sessions that differ is no noise
         noise = min(scatter, left)
-        more = rms(travelled[at, None]), usual, left, rms(by_zero[at, columns])
-        return Residuals(sizes[0], sizes[1], sizes[2], noise, *more)
+        scales = rms(travelled[at, None]), usual, left, rms(by_zero[at, columns])
+        return Residuals(sizes[0], sizes[1], sizes[2], noise, *scales)
 
     rotated_rad = np.maximum(rotation_rad, LEAST_ROTATION_RAD)
     turned = np.mean(rotation_rad[used]) + np.mean(way_m[used])
