@@ -69,8 +69,8 @@ def read_seeds(path: Path) -> Seeds:
         seeds = TypeAdapter(Seeds).validate_python({"purpose": "", **data})
     except ValidationError as error:
         first = error.errors()[0]
-        where, found = ".".join(str(part) for part in first["loc"] if part != "[key]"), f"{first['input']!r:.80}"
-        raise BadFileError(path, found, _EXPECTED, _REMEDY, column=where) from error
+        where, actual = ".".join(str(part) for part in first["loc"] if part != "[key]"), f"{first['input']!r:.80}"
+        raise BadFileError(path, actual, _EXPECTED, _REMEDY, column=where) from error
     total = sum(seeds.cases.values())
     refuse_beyond(total, CASES, shown=str(path), what="cases", remedy="make several sets", column="cases")
     return seeds
@@ -240,9 +240,9 @@ def read_public(folder: Path) -> Mapping[str, Any]:
             raise OSError("no regular file")
         data: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        found = getattr(error, "strerror", None) or str(error)
-        raise BadFileError(path, found, "a set made by 'calib challenge make'", "make one first") from error
+        actual = getattr(error, "strerror", None) or str(error)
+        raise BadFileError(path, actual, "a set made by 'calib challenge make'", "make one first") from error
     if not isinstance(data, dict) or data.get("format") != _PUBLIC_FORMAT or not isinstance(data.get("cases"), dict):
-        found = f"another format ({data.get('format') if isinstance(data, dict) else type(data).__name__})"
-        raise BadFileError(path, found, _PUBLIC_FORMAT, "make the set again with this version")
+        actual = f"another format ({data.get('format') if isinstance(data, dict) else type(data).__name__})"
+        raise BadFileError(path, actual, _PUBLIC_FORMAT, "make the set again with this version")
     return data

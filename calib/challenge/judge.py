@@ -108,24 +108,24 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     was deleted, an effect nearer than `RESOLVED_SIGMAS`.
     """
     recipe = truth.recipe
-    given: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}
-    word = str(given.get("verdict", "missing"))
+    answer: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}
+    word = str(answer.get("verdict", "missing"))
     crowded = recipe.group == "crowded"  # its outside cause is a residual that none can name
     effects = tuple(c.effect for c in truth.causes if not (crowded and c.effect.startswith("outside:")))
-    causes = [cause for cause in given.get("causes", []) if isinstance(cause, dict)]
+    causes = [cause for cause in answer.get("causes", []) if isinstance(cause, dict)]
     named = tuple(str(cause.get("effect", "")) for cause in causes)
-    groups = groups_of(given, causes)
+    groups = groups_of(answer, causes)
     near = {name for name, distance in truth.rivals if distance < RESOLVED_SIGMAS} | set(recipe.aliases)
     in_library = recipe.group != "outside" and not recipe.deleted
     first = bool(named) and named[0] in effects if effects else not named and word == "no_gap"
     in_group = all(grouped_with(effect, named, groups) for effect in effects) and (bool(effects) or first)
     strong = tuple(grouped_with(effect, named, groups) for effect in _strong(truth))
-    sets = [set(credible) for credible in given.get("credible_sets", [])]
+    sets = [set(credible) for credible in answer.get("credible_sets", [])]
     false_causes = [cause for cause in named if cause not in near and not grouped_with(cause, effects, groups)]
-    recommended = bool(given.get("recommended", False))
-    extra = given.get("challenge") or {}
-    tried = extra.get("achieved") or {}
-    before, after = tried.get("before_over_floor"), tried.get("after_over_floor")
+    recommended = bool(answer.get("recommended", False))
+    extra = answer.get("challenge") or {}
+    achieved = extra.get("achieved") or {}
+    before, after = achieved.get("before_over_floor"), achieved.get("after_over_floor")
     target = recipe.targets[0] if recipe.targets else math.nan
     right = {
         "outside": word in LEFT_OPEN,
@@ -154,13 +154,13 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         wrong_fix=recommended and bool(false_causes or not effects),
         harmful=bool(after > before) if recommended and before is not None and after is not None else None,
         statements=() if recipe.group == "alias" else _stated(causes, effects),
-        intervals=tuple(compare(truth, given)),
-        predicted=(given.get("closure") or {}).get("fraction"),
-        achieved=tried.get("fraction"),
+        intervals=tuple(compare(truth, answer)),
+        predicted=(answer.get("closure") or {}).get("fraction"),
+        achieved=achieved.get("fraction"),
         seconds=extra.get("seconds"),
         strong=strong,
         decided=word == "explained" and bool(named) and _family(named[0]) in {_family(effect) for effect in effects},
-        error=str(given.get("error", "")),
+        error=str(answer.get("error", "")),
         ceiling=truth.ceiling,
         own_ceiling=truth.own_ceiling,
     )
@@ -175,10 +175,10 @@ def _family(effect: str) -> str:
     return REGISTRY[effect].family.value if effect in REGISTRY else effect
 
 
-def groups_of(given: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> list[set[str]]:
+def groups_of(answer: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) -> list[set[str]]:
     """Return the effects that a verdict cannot tell apart, with forms that fit as well."""
     open_forms = {str(cause.get("effect", "")): set(cause["forms_open"]) for cause in causes if cause.get("forms_open")}
-    alike = given.get("indistinguishable", [])
+    alike = answer.get("indistinguishable", [])
     groups = [set(group).union(*(open_forms.get(name, set()) for name in group)) for group in alike]
     return groups + [{name, *others} for name, others in open_forms.items()]
 

@@ -87,13 +87,13 @@ def _side(angle: FloatArray, last: IntArray) -> FloatArray:
     least = max(MIN_REVERSAL_RAD, MIN_REVERSAL_STD * noise)
     low, high = angle[0].copy(), angle[0].copy()
     now = np.zeros(angle.shape[1])
-    for step, here in enumerate(angle):
-        high = np.where(now >= 0, np.maximum(high, here), high)
-        low = np.where(now <= 0, np.minimum(low, here), low)
-        up = (now < 1) & (here - low > least)
-        down = (now > -1) & (high - here > least) & ~up
+    for step, value in enumerate(angle):
+        high = np.where(now >= 0, np.maximum(high, value), high)
+        low = np.where(now <= 0, np.minimum(low, value), low)
+        up = (now < 1) & (value - low > least)
+        down = (now > -1) & (high - value > least) & ~up
         now = np.where(up, 1.0, np.where(down, -1.0, now))
-        high, low = np.where(up, here, high), np.where(down, here, low)
+        high, low = np.where(up, value, high), np.where(down, value, low)
         side[step] = now
     return side
 

@@ -161,35 +161,35 @@ def _signal(diagnosis: Diagnosis, change: FloatArray, absorbed: FloatArray | Non
 
 
 def _sized(
-    given: _Candidate, diagnosis: Diagnosis, replay: Replay, absorbed: FloatArray, sizes: Sequence[Size]
+    candidate: _Candidate, diagnosis: Diagnosis, replay: Replay, absorbed: FloatArray, sizes: Sequence[Size]
 ) -> tuple[list[Plant], str]:
-    level = given.effect not in (*CALIBRATION, *STEERED)
+    level = candidate.effect not in (*CALIBRATION, *STEERED)
     free = absorbed if level else None
 
     def change(size: float) -> FloatArray:
-        return replay.change(lambda world: given.act(world, size), level=level)
+        return replay.change(lambda world: candidate.act(world, size), level=level)
 
-    small = change(given.typical)
+    small = change(candidate.typical)
     whole, left = _signal(diagnosis, small, None), _signal(diagnosis, small, free)
     if not left > ABSORBED * whole:
         return [], "these runs cannot show it" + (": a recalibration takes it up" if whole > 0 else "")
     plants = []
     for wanted, scale in sizes:
-        if given.outside and scale != "s":
+        if candidate.outside and scale != "s":
             continue
-        value = {"s": given.typical * wanted / left, "x": given.typical * wanted}.get(scale, wanted)
+        value = {"s": candidate.typical * wanted / left, "x": candidate.typical * wanted}.get(scale, wanted)
         for _ in range(3 if scale == "s" else 0):
             reached = _signal(diagnosis, change(value), free)
-            value *= (wanted / max(reached, 1e-9)) ** (0.5 if given.effect == "beam_misalignment" else 1.0)
+            value *= (wanted / max(reached, 1e-9)) ** (0.5 if candidate.effect == "beam_misalignment" else 1.0)
         value = float(f"{value:.4g}")
-        signs = (1.0,) if given.effect in ONE_SIGN else (1.0, -1.0)
+        signs = (1.0,) if candidate.effect in ONE_SIGN else (1.0, -1.0)
         changes = tuple(change(sign * value) for sign in signs)
         moved = np.hypot(*changes[0][:, 1:3].T) / np.maximum(replay.observations.length_m, 1e-3)
         if (moved > LARGEST_SHARE).any() or (np.abs(changes[0][:, 3]) > LARGEST_RAD).any():
             continue
         reached = _signal(diagnosis, changes[0], free)
-        known = (given.effect, given.form, given.outside, given.family)
-        plants.append(Plant(*known, value, given.unit, reached, changes))
+        known = (candidate.effect, candidate.form, candidate.outside, candidate.family)
+        plants.append(Plant(*known, value, candidate.unit, reached, changes))
     return plants, "" if plants else "a size that shows would have to be out of all proportion"
 
 

@@ -224,14 +224,14 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
 
 
 def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:
-    found: dict[str, float | None] = {}
+    ceilings: dict[str, float | None] = {}
     for own in ("", "own_"):
         of_cases = [(getattr(case, f"{own}ceiling"), case.first) for case in singles if case.signal == signal]
         known = [(*ceiling, first) for ceiling, first in of_cases if ceiling is not None]
         free, gated, first = np.mean(known, axis=0).tolist() if known else (None, None, None)
-        found |= {f"{own}free": free, f"{own}gated": gated}
-        found[f"hits_over_{own}gated"] = first / gated if gated else None
-    return found
+        ceilings |= {f"{own}free": free, f"{own}gated": gated}
+        ceilings[f"hits_over_{own}gated"] = first / gated if gated else None
+    return ceilings
 
 
 def _of(cases: list[Judged], group: str) -> list[Judged]:

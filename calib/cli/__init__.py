@@ -324,7 +324,7 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
 def visible(text: str) -> str:
     """Return a text whose controls, overrides of direction and half pairs are shown."""
     return _STEERING.sub(
-        lambda found: found.group().encode("ascii", "backslashreplace").decode("ascii"), text
+        lambda match: match.group().encode("ascii", "backslashreplace").decode("ascii"), text
     ).translate(_CONTROLS)
 
 

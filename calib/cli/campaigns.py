@@ -286,10 +286,10 @@ def run(
     return int(bool(failed))
 
 
-def _some(given: int | None, usual: int, most: int, name: str) -> int:
-    if given is not None:
-        refuse_more(f"--{name}", given, most, "give fewer, or more --vehicles")
-    return min(usual if given is None else given, most)
+def _some(number: int | None, usual: int, most: int, name: str) -> int:
+    if number is not None:
+        refuse_more(f"--{name}", number, most, "give fewer, or more --vehicles")
+    return min(usual if number is None else number, most)
 
 
 def simulate(

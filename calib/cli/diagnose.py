@@ -111,18 +111,18 @@ def _apply(
     what, step, left_out = "parameters are", "", tuple[str, ...]()
     try:
         if effects is None:
-            made: Any = parameters_to_set(diagnosis)
+            content: Any = parameters_to_set(diagnosis)
             step = "diagnose simulator --apply"
         else:
             model = applied_model(
                 diagnosis, campaign, effects, None if believed is None else load_coefficients(believed)
             )
-            made, what, step = model.to_bytes(), "model is", "diagnose --apply"
+            content, what, step = model.to_bytes(), "model is", "diagnose --apply"
             left_out = fitted_beside(model) and on_vehicle(model, diagnosis, campaign)
     except RefusedError as refused:
         cli.say(f"{target} is not written: {refused}.")
         return None
-    cli.save(target, made)
+    cli.save(target, content)
     for text in left_out:
         cli.note(text)
     if diagnosis.recommended:

@@ -132,11 +132,11 @@ def geometry(
     return 0 if estimated.passed else 1
 
 
-def _choice(option: str, given: str | None, known: dict[str, str]) -> Any:
-    if given is not None and given not in known:
-        near = cli.nearest(given, known)
-        raise BadInputError(f"{option}: found {given!r}; expected one of {', '.join(known)}; choose one of them{near}")
-    return None if given is None else known[given]
+def _choice(option: str, text: str | None, known: dict[str, str]) -> Any:
+    if text is not None and text not in known:
+        near = cli.nearest(text, known)
+        raise BadInputError(f"{option}: found {text!r}; expected one of {', '.join(known)}; choose one of them{near}")
+    return None if text is None else known[text]
 
 
 _LOAD = "Load point, N for both wheels or LEFT,RIGHT; may be given again (ros2, csv)."
@@ -194,8 +194,8 @@ def export(
             artifacts = export_from(source, to, accept=accept, progress=tick)
     else:
         coefficients = coefficients_of(source, outside=outside, created=date, accept=accept)
-        given = ExportOptions(parse_loads(load or []), tuple(controller or ()), model=model, left=left, right=right)
-        options = replace(given, position_feedback=not velocity_feedback, open_loop=open_loop)
+        chosen = ExportOptions(parse_loads(load or []), tuple(controller or ()), model=model, left=left, right=right)
+        options = replace(chosen, position_feedback=not velocity_feedback, open_loop=open_loop)
         artifacts = export(coefficients.file, to, options=options)
         notes += coefficients.notes
         head |= {name: getattr(coefficients.file, name) for name in ("checksum", "outside", "simulated")}
@@ -253,13 +253,13 @@ def report(
     issued, force, drawn = issue_date(date), cli.forced(), list[Path]()
     _refuse_targets(source, into, figures)
     with cli.progress("report") as tick:
-        given = opened(source, progress=tick)
+        subject = opened(source, progress=tick)
         accept, drawn_by = accept_implausible.strip(), seed if diagnosis else None
-        report = report_of(given, issued=issued, accept=accept, seed=drawn_by, where=source, progress=tick)
+        report = report_of(subject, issued=issued, accept=accept, seed=drawn_by, where=source, progress=tick)
         target = place_of(report.name, into, force=force)
         if figures is not None:
             drawn = write_figures(report.figures(), figures, simulated=report.simulated, force=force, progress=tick)
-        page = "" if html is None else _page(report, given, tick)
+        page = "" if html is None else _page(report, subject, tick)
         write_bytes(target, to_pdf(report, tick), force=force)
     if html is not None:
         write_text(html, page, force=force)
@@ -271,12 +271,12 @@ def report(
     if not report.passed:
         what = "law" if report.geometry is None else "geometry"
         cli.say(f"A check failed: the {what} should not be used as it is; the report says why.")
-    cli.then(_next_step(report, given), c=source)
+    cli.then(_next_step(report, subject), c=source)
     cli.emit_json({"file": str(target), "figures": [str(path) for path in drawn], **report.to_dict()})
     return 0 if report.passed else 1
 
 
-def _next_step(report: "Report", given: "Fit | Campaign") -> str:
+def _next_step(report: "Report", subject: "Fit | Campaign") -> str:
     from calib.campaign.model import Campaign
 
     if report.diagnosis is not None:
@@ -288,7 +288,7 @@ def _next_step(report: "Report", given: "Fit | Campaign") -> str:
 
         step = after_geometry(report.geometry, None)
         return "fit lacks runs" if step == "geometry lengths" else step
-    stated = given.extra if isinstance(given, Campaign) else given.provenance
+    stated = subject.extra if isinstance(subject, Campaign) else subject.provenance
     return ("report" if "certificate" in stated else "report unstated") if report.passed else "report failed"
 
 
@@ -306,13 +306,13 @@ def _refuse_targets(source: Path, into: Path | None, figures: Path | None) -> No
         cli.refuse_outputs(figures=figures, names=(*FIT_PICTURES, *GAP_PICTURES))
 
 
-def _page(report: "Report", given: "Fit | Campaign", tick: "Progress") -> str:
+def _page(report: "Report", subject: "Fit | Campaign", tick: "Progress") -> str:
     from calib.campaign.model import Campaign
     from calib.reporting.pages import to_html
 
     tick(0, 0, "page")
-    if report.diagnosis is None or not isinstance(given, Campaign):
+    if report.diagnosis is None or not isinstance(subject, Campaign):
         return to_html(report)
     from calib.reporting.interactive import interactive_panels
 
-    return to_html(report, interactive_panels(report.diagnosis, given))
+    return to_html(report, interactive_panels(report.diagnosis, subject))

@@ -165,7 +165,7 @@ def interruption(kept: list[str]) -> int:
     return _complain(f"interrupted; {held}, and nothing half-written is left", EXIT_INTERRUPTED)
 
 
-def failed(error: Exception, given: list[str]) -> int:
+def failed(error: Exception, words: list[str]) -> int:
     """Print in one line what went wrong, and return the exit status for it.
 
     Where standard output belongs to JSON, and has none yet, it gets ``{"error": ..., "exit_status": ...}``.
@@ -175,21 +175,21 @@ def failed(error: Exception, given: list[str]) -> int:
     if type(error).__name__ == "NoArgsIsHelpError":
         sys.stderr.write(_message(error) + "\n")
         return EXIT_BAD_INPUT
-    message, status = _explained(error, given)
-    if ("--json=-" in given or ("--json", "-") in itertools.pairwise(given)) and not cli.WRITTEN.get():
+    message, status = _explained(error, words)
+    if ("--json=-" in words or ("--json", "-") in itertools.pairwise(words)) and not cli.WRITTEN.get():
         with suppress(OSError, ValueError):
             sys.stdout.write(to_json({"error": " ".join(message.split()), "exit_status": status}))
             sys.stdout.flush()
     return _complain(message, status)
 
 
-def _explained(error: Exception, given: list[str]) -> tuple[str, int]:
+def _explained(error: Exception, words: list[str]) -> tuple[str, int]:
     if isinstance(error, ImplausibleError):
         return f"{error} ('calib geometry', 'export' and 'report' take --accept-implausible REASON)", EXIT_FAILED
     if isinstance(error, CalibError):
-        name = command_called(with_default(given))
+        name = command_called(with_default(words))
         message = as_typed(str(error), options_of(name) if name else ())
-        return message + _nearest_path(str(error), given), EXIT_BAD_INPUT
+        return message + _nearest_path(str(error), words), EXIT_BAD_INPUT
     if isinstance(error, typer.TyperException):
         return _usage(error), EXIT_BAD_INPUT
     if os.environ.get("CALIB_TRACEBACK"):
@@ -200,8 +200,8 @@ def _explained(error: Exception, given: list[str]) -> tuple[str, int]:
     return f"bug in calib, please report: {type(error).__name__}: {error} (CALIB_TRACEBACK=1 shows where)", EXIT_BUG
 
 
-def _nearest_path(message: str, given: list[str]) -> str:
-    for word in given:
+def _nearest_path(message: str, words: list[str]) -> str:
+    for word in words:
         path = Path(word)
         with suppress(OSError, ValueError):
             absent = path.parent.is_dir() and not path.exists()
@@ -291,11 +291,11 @@ def overflow_noted() -> Iterator[None]:
     with warnings.catch_warnings():
         before = warnings.showwarning
 
-        def kept(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        def kept(message: Warning | str, category: type[Warning], *where: Any, **extra: Any) -> None:
             if issubclass(category, RuntimeWarning) or category.__module__.startswith("statsmodels"):
                 overflows.append(str(message))
             else:
-                before(message, category, *where, **more)
+                before(message, category, *where, **extra)
 
         warnings.showwarning = kept
         yield
@@ -338,10 +338,10 @@ def run(
     cli.INTERRUPTED.set(interrupted)
     cli.CLOSED.set(False)
     cli.WRITTEN.set(False)
-    given = sys.argv[1:] if arguments is None else arguments
+    words = sys.argv[1:] if arguments is None else arguments
     try:
         with overflow_noted():
-            status = _invoke(given)
+            status = _invoke(words)
         sys.stdout.flush()
         settle()
     except (typer.Abort, KeyboardInterrupt):
@@ -353,17 +353,17 @@ def run(
             return _pipe_closed()
         raise
     except Exception as error:
-        return interruption(kept) if settle() else failed(error, given)
+        return interruption(kept) if settle() else failed(error, words)
     return EXIT_PIPE_CLOSED if cli.CLOSED.get() else status
 
 
 def _heed_date() -> None:
-    given = os.environ.get("SOURCE_DATE_EPOCH")
-    if given is None or (_SECONDS.fullmatch(given) and int(given) < LATEST_S):
+    text = os.environ.get("SOURCE_DATE_EPOCH")
+    if text is None or (_SECONDS.fullmatch(text) and int(text) < LATEST_S):
         return
     del os.environ["SOURCE_DATE_EPOCH"]
-    if given:
-        note(f"SOURCE_DATE_EPOCH: found {given[:40]!r}; expected whole seconds since 1970; ignored")
+    if text:
+        note(f"SOURCE_DATE_EPOCH: found {text[:40]!r}; expected whole seconds since 1970; ignored")
 
 
 def _reopen() -> None:
