@@ -278,6 +278,12 @@ def _frozen_reference(made: Campaign) -> Campaign:
     return with_log_columns(made, ref_x_m=x, ref_y_m=0.0 * x)
 
 
+def _mirrored_path(made: Campaign) -> Campaign:
+    """Circles of 2 m to the left, y to the right."""
+    turn = made.logs.columns["t_s"]
+    return with_log_columns(made, ref_x_m=2.0 * np.sin(turn), ref_y_m=-2.0 * (1.0 - np.cos(turn)), ref_theta_rad=turn)
+
+
 def _gyro_of_wrong_scale(made: Campaign) -> Campaign:
     """Turns of 1 rad by a reference to 2 mrad; the gyro reads 1 % more, beyond half a turn too."""
     rng = np.random.default_rng(4)
@@ -334,6 +340,7 @@ FAULTS: list[tuple[str, str, str, Fault, str]] = [
     ("clock", "clock_jump", "suspicious", _log("t_s", _jump_later(-4.0)), "r003"),
     ("dead_counters", "dead_counter", "suspicious", number("counts_left", lambda _: 0.0, 4), "r004"),
     ("lost_reference", "lost_reference", "suspicious", _frozen_reference, "r003"),
+    ("mirrored_path", "mirrored_path", "suspicious", _mirrored_path, ""),
     ("count_jumps", "count_jump", "suspicious", _log("counts_left", _count_jump), "r003"),
     ("steered_by_itself", "steered_by_itself", "suspicious", steered_by_itself, ""),
     ("unused_slopes", "unused_slopes", "suspicious", _law_of_others, ""),

@@ -10,8 +10,7 @@ from calib.campaign import checks
 from calib.campaign.checks import LEAST_RUNS, column_note, implausible_column, robust_spread, rolled_m
 from calib.campaign.checks.measurements import implausible_ratio
 from calib.campaign.model import REFERENCE_POSE, Campaign, Note
-from calib.campaign.wheels import ASIDE
-from calib.types import BoolArray, FloatArray, IntArray, StrArray, evenly, few_digits
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, evenly
 
 #: fewest straight runs for a finding, and standard errors beyond which their median is one
 _LEAST_STRAIGHT_RUNS: Final = 8
@@ -258,43 +257,6 @@ def gyro_against_reference(campaign: Campaign) -> Iterator[Note]:
             than by the reference (standard error {100 * error:.1g} %); expected the same; correct the gyro's scale
             where the vehicle navigates by it"""
         yield column_note("gyro_theta_rad", text, "gyro_against_reference")
-
-
-#: difference of a lost reference from the wheels: in metres, beyond this slip, in standard uncertainties, and in usual
-#: (90 %) differences
-_LOST_M, _SLIP, _LOST_SIGMAS, _UNUSUAL = 0.05, 1.5, 15.0, 4.0
-
-
-def lost_reference(campaign: Campaign) -> Iterator[Note]:
-    """Find positions along the path that stand still while the wheels roll, or leap further than these carry them."""
-    campaign = checks.on_axle(campaign)
-    vehicle, sensor = campaign.vehicle, campaign.reference
-    least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
-    # largest lever arm from the axle's middle to the sensor, in tracks
-    arm = 1.0 + (vehicle.wheelbase_m + math.hypot(sensor.sensor_x_m, sensor.sensor_y_m)) / vehicle.track_m
-    for run, log in campaign.logs.each(20, "ref_x_m", "ref_y_m", "counts_left", "counts_right"):
-        position = log["ref_x_m"] + 1j * log["ref_y_m"]
-        known = np.flatnonzero(np.isfinite(position))
-        left, right = (rolled_m(campaign, side, log[f"counts_{side}"][known]) for side in checks.SIDES)
-        way = (left + right) / 2 + 1j * log.get(ASIDE, 0.0 * log["t_s"])[known]
-        # each value of the reference, from its first sample to that after its last
-        first = np.append(0, np.flatnonzero(np.diff(position[known])) + 1)
-        last = np.append(first[1:], len(known)) - 1
-        after = np.minimum(last + 1, len(known) - 1)
-        if len(known) < LEAST_RUNS:
-            continue
-        moved, rolled, apart = (np.abs(of[after] - of[first]) for of in (position[known], way, right - left))
-        stand, leap = np.abs(way[last] - way[first]), moved - _SLIP * rolled - arm * apart
-        off_m = np.maximum(stand, leap)
-        far = off_m > least + _UNUSUAL * np.quantile(np.append(off_m, 0.0), 0.9, method="lower")
-        if far.any():
-            at = int(np.argmax(off_m))
-            begin, end = log["t_s"][known[[first[at], after[at]]]]
-            what = "stands still while they roll" if stand[at] > leap[at] else "leaps further than they roll"
-            text = f"""the position does not follow the wheels {far.sum()} time(s), most from {begin:.4g} to
-                {end:.4g} s: it {what}, by {few_digits(off_m[at])} m; lost or hidden? Empty these cells, or exclude the
-                run"""
-            yield checks.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
 
 
 def implausible_poses(campaign: Campaign) -> Iterator[Note]:

@@ -1,0 +1,74 @@
+"""Poses of a reference along the path: lost, or mirrored against the headings."""
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from calib.campaign import checks
+from calib.campaign.checks import LEAST_RUNS, column_note, rolled_m
+from calib.campaign.model import Campaign, Note
+from calib.campaign.wheels import ASIDE
+from calib.types import few_digits
+
+#: difference of a lost reference from the wheels: in metres, beyond this slip, in standard uncertainties, and in usual
+#: (90 %) differences
+_LOST_M, _SLIP, _LOST_SIGMAS, _UNUSUAL = 0.05, 1.5, 15.0, 4.0
+
+
+def lost_reference(campaign: Campaign) -> Iterator[Note]:
+    """Find positions along the path that stand still while the wheels roll, or leap further than these carry them."""
+    campaign = checks.on_axle(campaign)
+    vehicle, sensor = campaign.vehicle, campaign.reference
+    least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
+    # largest lever arm from the axle's middle to the sensor, in tracks
+    arm = 1.0 + (vehicle.wheelbase_m + math.hypot(sensor.sensor_x_m, sensor.sensor_y_m)) / vehicle.track_m
+    for run, log in campaign.logs.each(20, "ref_x_m", "ref_y_m", "counts_left", "counts_right"):
+        position = log["ref_x_m"] + 1j * log["ref_y_m"]
+        known = np.flatnonzero(np.isfinite(position))
+        left, right = (rolled_m(campaign, side, log[f"counts_{side}"][known]) for side in checks.SIDES)
+        way = (left + right) / 2 + 1j * log.get(ASIDE, 0.0 * log["t_s"])[known]
+        # each value of the reference, from its first sample to that after its last
+        first = np.append(0, np.flatnonzero(np.diff(position[known])) + 1)
+        last = np.append(first[1:], len(known)) - 1
+        after = np.minimum(last + 1, len(known) - 1)
+        if len(known) < LEAST_RUNS:
+            continue
+        moved, rolled, apart = (np.abs(of[after] - of[first]) for of in (position[known], way, right - left))
+        stand, leap = np.abs(way[last] - way[first]), moved - _SLIP * rolled - arm * apart
+        off_m = np.maximum(stand, leap)
+        far = off_m > least + _UNUSUAL * np.quantile(np.append(off_m, 0.0), 0.9, method="lower")
+        if far.any():
+            at = int(np.argmax(off_m))
+            begin, end = log["t_s"][known[[first[at], after[at]]]]
+            what = "stands still while they roll" if stand[at] > leap[at] else "leaps further than they roll"
+            text = f"""the position does not follow the wheels {far.sum()} time(s), most from {begin:.4g} to
+                {end:.4g} s: it {what}, by {few_digits(off_m[at])} m; lost or hidden? Empty these cells, or exclude the
+                run"""
+            yield checks.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
+
+
+#: part of the way whose course follows the heading: 0.8 to 0.97 of real robots, whose sensors stand off the axle
+_FOLLOWS: Final = 0.8
+#: beside it, part of routes that turn both ways alike and look alike in a mirror
+_CLEARLY: Final = 2.0
+
+
+def mirrored_path(campaign: Campaign) -> Iterator[Note]:
+    """Find positions along the path that are mirror images of what their headings say."""
+    # resultant of the doubled angle between course and heading (backward is forward), and of that in a mirror
+    along, in_mirror, way_m = 0.0j, 0.0j, 0.0
+    for _, log in campaign.logs.each(LEAST_RUNS, "ref_x_m", "ref_y_m", "ref_theta_rad"):
+        position, heading = log["ref_x_m"] + 1j * log["ref_y_m"], np.exp(1j * log["ref_theta_rad"])
+        known = np.isfinite(position) & np.isfinite(heading)
+        step, middle = np.diff(position[known]), heading[known][1:] * heading[known][:-1]
+        double = step**2 / np.maximum(np.abs(step), 1e-12)
+        along += np.sum(double * middle.conj())
+        in_mirror += np.sum(double * middle)
+        way_m += float(np.abs(step).sum())
+    if abs(in_mirror) > max(_FOLLOWS * way_m, _CLEARLY * abs(along)):
+        text = """positions along the path are mirror images of what the headings say; expected x ahead, y to the left
+            and left turns positive; check the signs of ref_y_m and ref_theta_rad, or whether x and y are exchanged;
+            'calib geometry' says which"""
+        yield column_note("ref_x_m, ref_y_m, ref_theta_rad", text, "mirrored_path")
