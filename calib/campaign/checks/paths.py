@@ -71,4 +71,4 @@ def mirrored_path(campaign: Campaign) -> Iterator[Note]:
         text = """positions along the path are mirror images of what the headings say; expected x ahead, y to the left
             and left turns positive; check the signs of ref_y_m and ref_theta_rad, or whether x and y are exchanged;
             'calib geometry' says which"""
-        yield column_note("ref_x_m, ref_y_m, ref_theta_rad", text, "mirrored_path")
+        yield column_note("ref_x_m, ref_y_m, ref_theta_rad", text, "mirrored_path", of="logs")
