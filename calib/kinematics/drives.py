@@ -1,6 +1,6 @@
 """Drives: how wheels move the body, derivatives by each parameter, the integrated path."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields
 from itertools import compress
 from typing import Final
@@ -152,8 +152,13 @@ class Motion:
 
     #: forward and to the left in m, and turn in rad, shape (3, n_samples)
     body: FloatArray
-    #: derivatives of `body`, shape (n_parameters, 3, n_samples)
-    by_parameter: FloatArray
+    #: makes `by_parameter`: most predictions do without
+    derivative: Callable[[], FloatArray]
+
+    @property
+    def by_parameter(self) -> FloatArray:
+        """Derivatives of `body`, shape (n_parameters, 3, n_samples)."""
+        return self.derivative()
 
 
 def lengths_of(drive: "Drive") -> tuple[Parameter, ...]:
@@ -191,13 +196,17 @@ class Differential:
         radius = values[:2, None] + (0.0 if loads is None else values[3:, None] * loads)
         left, right = radius * phi
         turn = (right - left) / track
-        # distance and turn by the travel of the left and of the right wheel
-        by_travel = np.array([[[0.5], [0.0], [-1.0 / track]], [[0.5], [0.0], [1.0 / track]]])
-        derivative = np.zeros((len(values), 3, len(turn)))
-        derivative[:2] = by_travel * phi[:, None]
-        derivative[2, 2] = -turn / track
-        if loads is not None:
-            derivative[3:] = by_travel * (phi * loads)[:, None]
+
+        def derivative() -> FloatArray:
+            # distance and turn by the travel of the left and of the right wheel
+            by_travel = np.array([[[0.5], [0.0], [-1.0 / track]], [[0.5], [0.0], [1.0 / track]]])
+            by = np.zeros((len(values), 3, len(turn)))
+            by[:2] = by_travel * phi[:, None]
+            by[2, 2] = -turn / track
+            if loads is not None:
+                by[3:] = by_travel * (phi * loads)[:, None]
+            return by
+
         return Motion(np.stack([0.5 * (left + right), np.zeros_like(turn), turn]), derivative)
 
 
@@ -220,11 +229,15 @@ class FrontWheel:
         angle = scale * steer + zero
         cosine, sine = np.cos(angle), np.sin(angle)
         travel = radius * phi
-        derivative = np.zeros((4, 3, len(travel)))
-        derivative[0, 0], derivative[0, 2] = phi * cosine, phi * sine / wheelbase
-        derivative[1, 2] = -travel * sine / wheelbase**2
-        derivative[2, 0], derivative[2, 2] = -travel * sine, travel * cosine / wheelbase
-        derivative[3] = derivative[2] * steer
+
+        def derivative() -> FloatArray:
+            by = np.zeros((4, 3, len(travel)))
+            by[0, 0], by[0, 2] = phi * cosine, phi * sine / wheelbase
+            by[1, 2] = -travel * sine / wheelbase**2
+            by[2, 0], by[2, 2] = -travel * sine, travel * cosine / wheelbase
+            by[3] = by[2] * steer
+            return by
+
         return Motion(np.stack([travel * cosine, np.zeros_like(travel), travel * sine / wheelbase]), derivative)
 
 
@@ -247,10 +260,14 @@ class Mecanum:
         forward = 0.25 * (front_left + front_right + rear_left + rear_right)
         left = 0.25 * (-front_left + front_right + rear_left - rear_right)
         turn = 0.25 * (-front_left + front_right - rear_left + rear_right)
-        derivative = np.zeros((2, 3, len(turn)))
-        derivative[0] = forward, left, turn / arm
-        derivative[1, 2] = -radius * turn / arm**2
-        return Motion(radius * derivative[0], derivative)
+        body = np.stack([forward, left, turn / arm])
+
+        def derivative() -> FloatArray:
+            by_arm = np.zeros_like(body)
+            by_arm[2] = -radius * turn / arm**2
+            return np.stack([body, by_arm])
+
+        return Motion(radius * body, derivative)
 
 
 #: the curvature is tan(angle) / (L (1 + understeer v^2)): front tyres slip more than rear ones; see `lengthening`
@@ -290,15 +307,19 @@ class RearShaft:
         travel = radius * phi
         longer = wheelbase * lengthening(understeer * square)
         turn = travel * tangent / longer
-        derivative = np.zeros((len(values), 3, len(travel)))
-        derivative[0, 0], derivative[0, 2] = phi, phi * tangent / longer
-        derivative[1, 2] = -turn / wheelbase
-        derivative[2, 2] = travel * (1.0 + tangent**2) / longer
-        derivative[3, 2] = derivative[2, 2] * steer
-        if self.slips:
-            derivative[4, 2] = -turn * square / (1.0 + np.abs(understeer * square))
-            derivative[:, 1] = -side_slip * square * derivative[:, 2]
-            derivative[5, 1] = -square * turn
+
+        def derivative() -> FloatArray:
+            by = np.zeros((len(values), 3, len(travel)))
+            by[0, 0], by[0, 2] = phi, phi * tangent / longer
+            by[1, 2] = -turn / wheelbase
+            by[2, 2] = travel * (1.0 + tangent**2) / longer
+            by[3, 2] = by[2, 2] * steer
+            if self.slips:
+                by[4, 2] = -turn * square / (1.0 + np.abs(understeer * square))
+                by[:, 1] = -side_slip * square * by[:, 2]
+                by[5, 1] = -square * turn
+            return by
+
         return Motion(np.stack([travel, -side_slip * square * turn, turn]), derivative)
 
 
@@ -313,8 +334,36 @@ def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps) -> RearShaft:
 #: has its parameters with their nominal values, and the motion of the body at values of these, shape (n_parameters,)
 Drive = Differential | FrontWheel | Mecanum | RearShaft
 
-#: half turn below which the derivative of sin(h)/h is its series
+#: half turn of a step below which the derivative of sin(h)/h is its series
 SMALL_RAD: Final = 1e-4
+#: half turn of all steps below which these terms of both series are exact, and quicker
+SHORT_RAD: Final = 0.1
+
+
+def _chord_over_arc(half: FloatArray) -> FloatArray:
+    # sin(h)/h of half turns
+    if np.abs(half).max(initial=0.0) < SHORT_RAD:
+        return _series(half * half, (6.0, 20.0, 42.0, 72.0))
+    near = np.abs(half) < SMALL_RAD
+    return np.where(near, 1.0 - half**2 / 6.0, np.sin(half) / np.where(near, 1.0, half))
+
+
+def _bend_of_chord(half: FloatArray) -> FloatArray:
+    # derivative of sin(h)/h
+    if np.abs(half).max(initial=0.0) < SHORT_RAD:
+        return -half / 3.0 * _series(half * half, (10.0, 28.0, 54.0, 88.0))
+    near = np.abs(half) < SMALL_RAD
+    return np.where(near, -half / 3.0, (np.cos(half) - _chord_over_arc(half)) / np.where(near, 1.0, half))
+
+
+def _series(square: FloatArray, divisors: tuple[float, ...]) -> FloatArray:
+    # 1 - x/a (1 - x/b (1 - ...))
+    total = np.ones_like(square)
+    for divisor in reversed(divisors):
+        total *= square
+        total *= -1.0 / divisor
+        total += 1.0
+    return total
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,33 +372,45 @@ class Path:
 
     #: x and y in m, heading in rad, shape (3, n_samples)
     pose: FloatArray
-    #: derivatives of `pose`, shape (n_parameters, 3, n_samples)
-    by_parameter: FloatArray
+    #: behind it
+    motion: Motion
+    #: cosine and sine of the heading in the middle of each step, shape (2, n_samples)
+    middle: FloatArray
+
+    def by_parameter(self, at: IntArray) -> FloatArray:
+        """Return derivatives of the poses `at` samples, ascending, shape (n_parameters, 3, len(at))."""
+        (x, y, _), (forward, left, turn) = self.pose, self.motion.body
+        cosine, sine = self.middle
+        along_x, along_y = forward * cosine - left * sine, forward * sine + left * cosine
+        ratio, bend = _chord_over_arc(0.5 * turn), 0.5 * _bend_of_chord(0.5 * turn)
+        # a turn bends its own chord by half and shortens it, and takes all later ones along: by parts, from the end
+        half_ratio = 0.5 * ratio
+        by_turn_x, by_turn_y = bend * along_x - half_ratio * along_y + y, bend * along_y + half_ratio * along_x - x
+        cosine, sine = ratio * cosine, ratio * sine
+        first = np.append(0, at[:-1] + 1)
+
+        def until(values: FloatArray) -> FloatArray:
+            return np.asarray(np.cumsum(np.add.reduceat(values[: at[-1] + 1], first)))
+
+        by_motion = self.motion.by_parameter
+        by_parameter = np.empty((len(by_motion), 3, len(at)))
+        for (d_forward, d_left, d_turn), (d_x, d_y, d_theta) in zip(by_motion, by_parameter, strict=True):
+            step_x, step_y = by_turn_x * d_turn + cosine * d_forward, by_turn_y * d_turn + sine * d_forward
+            if d_left.any():
+                step_x, step_y = step_x - sine * d_left, step_y + cosine * d_left
+            d_theta[:] = until(d_turn)
+            d_x[:], d_y[:] = until(step_x) - y[at] * d_theta, until(step_y) + x[at] * d_theta
+        return by_parameter
 
 
 def integrate_motion(motion: Motion) -> Path:
     """Integrate steps of constant twist: each is the chord of its arc, at the heading in its middle."""
     forward, left, turn = motion.body
-    half = 0.5 * turn
-    near = np.abs(half) < SMALL_RAD
-    divisor = np.where(near, 1.0, half)
-    ratio = np.where(near, 1.0 - half**2 / 6.0, np.sin(half) / divisor)
-    slope = np.where(near, -half / 3.0, (np.cos(half) - ratio) / divisor)
-    theta = np.cumsum(turn)
-    cosine, sine = np.cos(theta - half), np.sin(theta - half)
-    along_x, along_y = forward * cosine - left * sine, forward * sine + left * cosine
-    chord_x, chord_y, cosine, sine = (ratio * each for each in (along_x, along_y, cosine, sine))
-    # a turn bends its own chord by half and shortens it
-    own_x, own_y = 0.5 * (slope * along_x + chord_y), 0.5 * (slope * along_y - chord_x)
-    by_parameter = np.empty_like(motion.by_parameter)
-    for (d_forward, d_left, d_turn), (x, y, d_theta) in zip(motion.by_parameter, by_parameter, strict=True):
-        np.cumsum(d_turn, out=d_theta)
-        step_x, step_y = own_x * d_turn + cosine * d_forward, own_y * d_turn + sine * d_forward
-        if d_left.any():
-            step_x, step_y = step_x - sine * d_left, step_y + cosine * d_left
-        np.cumsum(step_x - chord_y * d_theta, out=x)
-        np.cumsum(step_y + chord_x * d_theta, out=y)
-    return Path(np.stack([np.cumsum(chord_x), np.cumsum(chord_y), theta]), by_parameter)
+    half, theta = 0.5 * turn, np.cumsum(turn)
+    middle = theta - half
+    cosine, sine, ratio = np.cos(middle), np.sin(middle), _chord_over_arc(half)
+    x, y = (forward * cosine - left * sine) * ratio, (forward * sine + left * cosine) * ratio
+    return Path(np.stack([np.cumsum(x), np.cumsum(y), theta]), motion, np.stack([cosine, sine]))
 
 
 def moved_between(pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:

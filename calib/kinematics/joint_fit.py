@@ -220,7 +220,9 @@ def delay_losses(fitted: Fitted) -> FloatArray:
         return np.zeros((0, 1))
     delay, size, losses = np.eye(len(solution.values))[-1], model.segments.seen.sum(axis=1), []
     for offset in OFFSETS_S:
-        residuals = model.predict(solution.values + offset * delay, solution.prediction.path).residuals
+        residuals = model.predict(
+            solution.values + offset * delay, path=solution.prediction.path, by_drive=False
+        ).residuals
         loss = np.log1p(np.square(np.einsum("nij,nj->ni", solution.whitener, residuals)).sum(axis=1) / DEGREES)
         loss *= 0.5 * (DEGREES + size)
         losses.append(np.bincount(group[model.segments.run], loss, minlength=group.max() + 1))

@@ -186,11 +186,15 @@ class Model:
         """Return the motion of the body in each step at `values`, shape (n_parameters,)."""
         return self.drive.motion(values[: -len(drives.SENSOR)], self.recording.steps)
 
-    def predict(self, values: FloatArray, path: drives.Path | None = None) -> Prediction:
-        """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known."""
+    def predict(self, values: FloatArray, *, path: drives.Path | None = None, by_drive: bool = True) -> Prediction:
+        """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known.
+
+        Without `by_drive` the derivatives are those by the sensor's parameters and the delay alone.
+        """
         path = path or drives.integrate_motion(self.motion(values))
-        n_drive = len(path.by_parameter)
-        pose, by_parameter, (first, *others) = _at_times(path, self.recording, self.segments, float(values[-1]))
+        at_times = _at_times(path, self.recording, self.segments, float(values[-1]), by_drive=by_drive)
+        pose, by_parameter, (first, *others) = at_times
+        n_drive = len(by_parameter) - 1
         moved = (drives.displacement(pose, by_parameter, first, other) for other in others)
         seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
         by_gyro = np.zeros((len(seen), 3, 1))
@@ -207,9 +211,7 @@ class Model:
 
     def residuals(self, values: FloatArray) -> FloatArray:
         """Return residuals alone."""
-        motion = self.motion(values)
-        path = drives.integrate_motion(replace(motion, by_parameter=motion.by_parameter[:0]))
-        return self.predict(values, path).residuals
+        return self.predict(values, by_drive=False).residuals
 
     def turns(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the headings' residuals, shape (n,), and derivatives, (n, n_parameters); no path is integrated."""
@@ -226,11 +228,12 @@ class Model:
 
 
 def _at_times(
-    path: drives.Path, recording: Recording, segments: Segments, delay_s: float
+    path: drives.Path, recording: Recording, segments: Segments, delay_s: float, *, by_drive: bool
 ) -> tuple[FloatArray, FloatArray, list[IntArray]]:
     # what the reference stamps t was true at t - delay; before a run's first count the vehicle moved as after it, where
     ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
     used, inverse = np.unique(ends, return_inverse=True)
+    places = list(inverse.reshape(len(ends), -1))
     run = recording.run[used]
     low, high = recording.offsets[run], recording.offsets[run + 1] - 1
     t_s = recording.t_s
@@ -243,15 +246,18 @@ def _at_times(
     at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
     near = np.clip(at + np.arange(-1, 3)[:, None], low, high)
     weights = _between(t_s[near], wanted)
-    parts = (path.pose[..., near], path.by_parameter[..., near])
-    pose, by_parameter = (np.einsum("...in,in->...n", part, weights) for part in parts)
-    velocity, of_velocity, seen = (
-        _velocity(part, t_s, at, low, high) for part in (path.pose, path.by_parameter, recording.reference)
-    )
+    before, after = np.maximum(at - 2, low), np.minimum(at + 3, high)
+    per_s = 1.0 / np.where(t_s[after] > t_s[before], t_s[after] - t_s[before], np.inf)
+    pose = np.einsum("pin,in->pn", path.pose[:, near], weights)
+    velocity, seen = ((each[:, after] - each[:, before]) * per_s for each in (path.pose, recording.reference))
     moved = np.hypot(*seen[:2]) > ON_THE_MOVE * np.hypot(*velocity[:2])
     before_s = np.where(moved, np.minimum(t_s[used] - delay - wanted, 0.0), 0.0)
-    by_parameter = np.concatenate([by_parameter + before_s * of_velocity, -velocity[None]])
-    return pose + before_s * velocity, by_parameter, list(inverse.reshape(len(ends), -1))
+    by_parameter = np.zeros((0, *pose.shape))
+    if by_drive:
+        samples, inverse = np.unique([*near, before, after], return_inverse=True)
+        *by_near, by_before, by_after = np.moveaxis(path.by_parameter(samples)[..., inverse], -2, 0)
+        by_parameter = np.einsum("ikpn,in->kpn", by_near, weights) + before_s * (by_after - by_before) * per_s
+    return pose + before_s * velocity, np.concatenate([by_parameter, -velocity[None]]), places
 
 
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:

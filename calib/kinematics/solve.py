@@ -356,9 +356,9 @@ def _advance(
     part, most = 1.0, loss(start[0], start[1].residuals) * (1.0 + 1e-12)
     while part == 1.0 or part >= least_part:
         trial = start[0] + part * step
-        prediction = model.predict(trial) if part == 1.0 else None
-        if loss(trial, prediction.residuals if prediction else model.residuals(trial)) <= most:
-            return trial, prediction or model.predict(trial)
+        prediction = model.predict(trial, by_drive=part == 1.0)
+        if loss(trial, prediction.residuals) <= most:
+            return trial, prediction if part == 1.0 else model.predict(trial, path=prediction.path)
         part *= 0.4
     return None
 
