@@ -282,8 +282,9 @@ def still_counters(recording: "Recording", told_rad: FloatArray) -> Iterator[Fau
     `told_rad` (shape (n_samples,)): turn in each step by wheels of fitted lengths: other units are no still wheel.
     """
     names = recording.speeds or ("counts_left", "counts_right")
+    spikes_of = [_spiked(recording, side) for side in (0, 1)]
     for side, name in enumerate(names if TWIST not in recording.speeds else ()):
-        if spiked := _spiked(recording, side):
+        if spiked := spikes_of[side]:
             runs = sorted(set(recording.run_id[recording.run[spiked]]))
             text = f"{name}: {len(spiked)} sample(s) jump by more than a revolution and back, in {', '.join(runs)}"
             yield Fault("count_spike", f"{text}; remove these samples", seen=True)
@@ -296,7 +297,7 @@ def still_counters(recording: "Recording", told_rad: FloatArray) -> Iterator[Fau
             longest = int(np.argmax(np.diff(rolled[1 - side, moved])))
             begin, end = int(moved[longest]), int(moved[longest + 1])
             known = np.flatnonzero(np.isfinite(heading[begin : end + 1])) + begin
-            spikes = any(begin <= at - first <= end for at in _spiked(recording, 1 - side))
+            spikes = any(begin <= at - first <= end for at in spikes_of[1 - side])
             if spikes or not len(known) or np.ptp(rolled[1 - side, known]) < 2.0 * np.pi:
                 continue
             begin, end = int(known[0]), int(known[-1])

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Final, Literal
 
 import numpy as np
@@ -61,9 +62,12 @@ def estimate_geometry(
     recording = recording_of(campaign, source)
     recording.refuse_constant_heading(nominal_motion(drive_of(campaign, source, recording), recording.steps)[2])
 
+    # end poses that their own fit does not explain need it again
+    by_windows = cache(lambda: _fitted(_Task(campaign, source, "windows", True, progress), recording))
+
     def estimated(way: Using) -> Geometry:
         task = _Task(campaign, source, way, (way == "windows") if sensor is None else sensor, progress)
-        return _estimated(task, recording, asked=sensor is not None or using is not None)
+        return _estimated(task, recording, by_windows, asked=sensor is not None or using is not None)
 
     geometry = estimated(using) if using else _best(recording, estimated)
     if leave_out is not None:
@@ -97,9 +101,9 @@ def _told_by(windows: Geometry, ends: Geometry) -> Geometry:
     return replace(ends, notes=(*ends.notes, *notes[:1]))
 
 
-def _estimated(task: "_Task", recording: Recording, *, asked: bool) -> Geometry:
+def _estimated(task: "_Task", recording: Recording, by_windows: Callable[[], "_Fit"], *, asked: bool) -> Geometry:
     try:
-        fit = _fitted(task, recording)
+        fit = by_windows() if task.sensor and task.way == "windows" else _fitted(task, recording)
     except np.linalg.LinAlgError as error:
         if not recording.lengths_alone:
             raise
@@ -118,7 +122,7 @@ def _estimated(task: "_Task", recording: Recording, *, asked: bool) -> Geometry:
     asked = asked or task.sensor
     # the place of a sensor explains nothing that differs between sessions
     if not (asked or judgement.position.apart or judgement.heading.apart or geometry.passed or geometry.faults):
-        fit = _with_sensor(task, recording, fit) or fit
+        fit = _with_sensor(task, recording, fit, by_windows) or fit
     return fit.geometry if fit.geometry.faults else _without_departure(fit)
 
 
@@ -186,6 +190,10 @@ def _fitted(task: _Task, recording: Recording, known: tuple[Fault, ...] = ()) ->
             common = task.fit(drive, recording, common.model.segments, start)
             losses = joint_fit.delay_losses(common)
         chosen, delays = _with_own_delays(task, common, losses)
+        if delays and not many and common.model.segments is not coarse:
+            # delays that differ were left in what the divisions were compared by
+            other = task.fit(drive, chosen.model.recording, coarse, chosen)
+            chosen = other if chosen.spread > other.spread + np.log(AS_GOOD) else chosen
     chosen = _with_own_zeros(task, chosen)
     geometry = geometry_of(task.campaign, chosen, task.source, task.way, (*known, *faults))
     return _Fit(task, chosen, replace(geometry, delays=delays), common)
@@ -235,7 +243,7 @@ def _without_departure(fit: _Fit) -> Geometry:
     if hidden:
         # without a delay of each recording it has to leave less, on the same windows
         changed = departure.change(recording, size)
-        model = replace(other.fitted.model, recording=changed, segments=fit.common.model.segments)
+        model = replace(other.fitted.model, recording=changed, segments=fit.fitted.model.segments)
         more_left = _mean_off_m(model, other.fitted) > _mean_off_m(fit.fitted.model, fit.fitted)
         if corrected.misfit or corrected.delays or more_left:
             return geometry
@@ -282,13 +290,12 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
     return replace(fit, geometry=fit.geometry.with_wide_track(task.campaign.model.track_m, blunder)) if wide else fit
 
 
-def _with_sensor(task: _Task, recording: Recording, fit: _Fit) -> _Fit | None:
-    way: Using = "windows" if recording.continuous else task.way
+def _with_sensor(task: _Task, recording: Recording, fit: _Fit, by_windows: Callable[[], _Fit]) -> _Fit | None:
     try:
-        other = _fitted(replace(task, sensor=True, way=way), recording)
+        other = by_windows() if recording.continuous else _fitted(replace(task, sensor=True), recording)
     except (RefusedError, np.linalg.LinAlgError):
         return None
-    bent = way != task.way and fit.geometry.residual_rms.theta_rad > BENT_RAD
+    bent = other.task.way != task.way and fit.geometry.residual_rms.theta_rad > BENT_RAD
     # a fault named there is why end poses are not explained: a wrong angle takes whole turns with it
     named = fit.geometry.misfit and other.geometry.faults and not other.geometry.misfit
     return other if other.geometry.passed or bent or named else None

@@ -7,6 +7,7 @@ import numpy as np
 
 from calib.errors import RefusedError
 from calib.kinematics import Recording, drives, parts_seen
+from calib.kinematics.path import Path, displacement, integrate_motion, moved_between
 from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 #: windows as parts of a block: whole, half, quarter
@@ -144,7 +145,7 @@ def window_segments(recording: Recording, blocks: int) -> Segments:
 def measured_between(reference: FloatArray, first: IntArray, last: IntArray, around: IntArray | None) -> FloatArray:
     """Return displacements by the reference, shape (n, 3), in the frames of the headings or chords at their start."""
     pose = np.nan_to_num(reference)
-    moved = drives.moved_between(pose, first, last)
+    moved = moved_between(pose, first, last)
     if around is None:
         return moved
     chord = np.diff(pose[0, around] + 1j * pose[1, around])[:, 0]
@@ -168,7 +169,7 @@ class Prediction:
     residuals: FloatArray
     #: derivatives of the prediction by drive parameters, sensor pose and delay, shape (n, 3, n_parameters)
     jacobian: FloatArray
-    path: drives.Path
+    path: Path
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,16 +187,16 @@ class Model:
         """Return the motion of the body in each step at `values`, shape (n_parameters,)."""
         return self.drive.motion(values[: -len(drives.SENSOR)], self.recording.steps)
 
-    def predict(self, values: FloatArray, *, path: drives.Path | None = None, by_drive: bool = True) -> Prediction:
+    def predict(self, values: FloatArray, *, path: Path | None = None, by_drive: bool = True) -> Prediction:
         """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known.
 
         Without `by_drive` the derivatives are those by the sensor's parameters and the delay alone.
         """
-        path = path or drives.integrate_motion(self.motion(values))
+        path = path or integrate_motion(self.motion(values))
         at_times = _at_times(path, self.recording, self.segments, float(values[-1]), by_drive=by_drive)
         pose, by_parameter, (first, *others) = at_times
         n_drive = len(by_parameter) - 1
-        moved = (drives.displacement(pose, by_parameter, first, other) for other in others)
+        moved = (displacement(pose, by_parameter, first, other) for other in others)
         seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
         by_gyro = np.zeros((len(seen), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
@@ -228,7 +229,7 @@ class Model:
 
 
 def _at_times(
-    path: drives.Path, recording: Recording, segments: Segments, delay_s: float, *, by_drive: bool
+    path: Path, recording: Recording, segments: Segments, delay_s: float, *, by_drive: bool
 ) -> tuple[FloatArray, FloatArray, list[IntArray]]:
     # what the reference stamps t was true at t - delay; before a run's first count the vehicle moved as after it, where
     ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
@@ -245,10 +246,10 @@ def _at_times(
     clock = np.maximum.accumulate(t_s + shift[recording.run])
     at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
     near = np.clip(at + np.arange(-1, 3)[:, None], low, high)
-    weights = _between(t_s[near], wanted)
+    weights, per_s_late = _between(t_s[near], wanted)
     before, after = np.maximum(at - 2, low), np.minimum(at + 3, high)
     per_s = 1.0 / np.where(t_s[after] > t_s[before], t_s[after] - t_s[before], np.inf)
-    pose = np.einsum("pin,in->pn", path.pose[:, near], weights)
+    pose, inside = np.einsum("pin,in->pn", path.pose[:, near], weights), wanted == t_s[used] - delay
     velocity, seen = ((each[:, after] - each[:, before]) * per_s for each in (path.pose, recording.reference))
     moved = np.hypot(*seen[:2]) > ON_THE_MOVE * np.hypot(*velocity[:2])
     before_s = np.where(moved, np.minimum(t_s[used] - delay - wanted, 0.0), 0.0)
@@ -257,18 +258,25 @@ def _at_times(
         samples, inverse = np.unique([*near, before, after], return_inverse=True)
         *by_near, by_before, by_after = np.moveaxis(path.by_parameter(samples)[..., inverse], -2, 0)
         by_parameter = np.einsum("ikpn,in->kpn", by_near, weights) + before_s * (by_after - by_before) * per_s
-    return pose + before_s * velocity, np.concatenate([by_parameter, -velocity[None]]), places
+    # the derivative of what is fitted, or the search ends short of it; by coarse counters it jumps from step to step
+    by_time = np.where(inside, np.einsum("pin,in->pn", path.pose[:, near], per_s_late), (before_s < 0.0) * velocity)
+    by_time = velocity if recording.coarse else by_time
+    return pose + before_s * velocity, np.concatenate([by_parameter, -by_time[None]]), places
 
 
-def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
-    # weights of a cubic between the inner two samples: a chord would cut curves and lag behind a vehicle that speeds up
+def _between(t_s: FloatArray, wanted_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    # weights of a cubic between the inner two samples, and their derivatives by time: a chord would cut curves and lag
+    # behind a vehicle that speeds up
     before, span, after = np.diff(t_s, axis=0)
     span = np.where(span > 0.0, span, np.inf)
     share = (wanted_s - t_s[1]) / span
     # a step of no length, at the end of a run, leaves the velocity of the step itself
-    begin, end = share * (1.0 - share) ** 2 / (1.0 + before / span), share**2 * (share - 1.0) / (1.0 + after / span)
-    step = share - begin * before / span - end * after / span
-    return np.stack([-begin, 1.0 + begin - step, step - end, end])
+    bend = np.stack([share * (1.0 - share) ** 2, (1.0 - share) * (1.0 - 3.0 * share)]) / (1.0 + before / span)
+    end = np.stack([share**2 * (share - 1.0), share * (3.0 * share - 2.0)]) / (1.0 + after / span)
+    step = np.stack([share, np.ones_like(share)]) - bend * before / span - end * after / span
+    one = np.array([[1.0], [0.0]])
+    weights, rates = np.stack([-bend, one + bend - step, step - end, end], axis=1)
+    return weights, rates / span
 
 
 def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, high: IntArray) -> FloatArray:

@@ -7,8 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from calib.kinematics.drives import Parameters, Path
+from calib.kinematics.drives import Parameters
 from calib.kinematics.model import Model, Prediction, Segments
+from calib.kinematics.path import Path
 from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray, IntArray
 
 #: variances that make up the covariance of a displacement: of position and heading by the reference (m^2, rad^2),
