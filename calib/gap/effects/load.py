@@ -149,7 +149,7 @@ class LoadCreep(_OfLoad):
     id = "load_creep"
     title = "wheel bands that creep under the load"
     implausible = "the load itself, or a temperature that rose meanwhile"
-    needs = "minutes_under_load that vary"
+    needs = "minutes_under_load that vary between laden runs"
     separates = "the same load after 0, 10 and 60 minutes, put on and taken off"
 
     def forms(self, observations: Observations) -> list[Form]:
@@ -159,7 +159,10 @@ class LoadCreep(_OfLoad):
         last change: an unloaded band then recovers as slowly.
         """
         minutes, now = observations.number("minutes_under_load"), observations.wheel_loads_N
-        if not varies(minutes, 0.5, observations) or not np.isfinite(now).all():
+        # loads that all stood alike creep as the load law says
+        laden = (now > observations.vehicle.unladen_load_N + same_load_N(observations)).any(axis=0)
+        stood = minutes[laden] if laden.any() else minutes
+        if not np.isfinite([*minutes, *now.ravel()]).all() or not varies(stood, 0.5, observations):
             return []
         # a tau of minutes hardly moves within a run
         t = minutes + 0.5 * np.nan_to_num(observations.total(np.nan_to_num(observations.duration_s))) / 60.0

@@ -3,6 +3,7 @@
 Rivals are sets of parameters that leave no more than noise when the simulator is run with them.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
@@ -209,8 +210,14 @@ def _candidates(
     # what may only be of the other sign than the gap asks for stands for nothing
     gap, signed = _scaled_gap(nominal), [(e, form) for e in own if e.parameter.sign for form in e.forms(observations)]
     out = {e.id for e, form in signed if e.parameter.sign * (_scaled(nominal, [form])[:, 0] @ gap) < 0.0}.union(exclude)
-    stands_for = {each.effect for cause, each in differences.by_cause.items() if cause not in out}
-    every = library(observations, exclude=(*exclude, *stands_for), declared=campaign.extra.get("effects", ()))
+    stands_for = Counter(each.effect for cause, each in differences.by_cause.items() if cause not in out)
+    every = [
+        effect
+        for effect in library(observations, exclude=exclude, declared=campaign.extra.get("effects", ()))
+        # one slope for both wheels does not do what one each does
+        if effect.id not in stands_for
+        or any(len(form.parameters) > stands_for[effect.id] for form in effect.forms(observations))
+    ]
     rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
     noisy = differences.repeats > 1
     signs = _spanned([rival for rival in rivals if _is_setting(rival, observations, noisy)], own, nominal, noisy)
