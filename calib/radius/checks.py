@@ -55,7 +55,7 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
     runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, session, direction, run_id)
     checks = [_design(fit, groups), _session(fit, groups), _order(fit, session)]
     if fit.model == "line":
-        checks += [_range(fit), _lack_of_fit(runs), _curvature(runs), _equal_scatter(runs)]
+        checks += [_range(fit), _same_law(runs), _lack_of_fit(runs), _curvature(runs), _equal_scatter(runs)]
     checks += [_session_influence(fit, groups), _influence(runs), _normality(runs), _direction(runs)]
     return replace(fit, checks=tuple(check for check in checks if check is not None))
 
@@ -66,31 +66,61 @@ def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
     return float(residual @ residual), int(rank)
 
 
+def _f_test(line: FloatArray, more: FloatArray, y: FloatArray) -> tuple[float, str, float] | None:
+    # of columns beside others; None where nothing is left of them, or of the scatter
+    (reduced, rank), (full, rank_full) = _squares(line, y), _squares(np.column_stack((line, more)), y)
+    dof_more, dof = rank_full - rank, len(y) - rank_full
+    if dof_more < 1 or dof < 3 or full <= 0.0:
+        return None
+    statistic = max((reduced - full) / dof_more / (full / dof), 0.0)
+    return statistic, f"F({dof_more}, {dof})", float(fdtrc(dof_more, dof, statistic))
+
+
+def _same_law(runs: _Residuals) -> Check | None:
+    fit, late = runs.fit, np.arange(len(runs.x)) >= len(runs.x) // 2
+    if fit.design == "confounded":
+        return None
+    line, y = fit.design_basis(runs.session), fit.residual_m * UM
+    halves = f"between the first half of the runs and the second, from {runs.run_id[len(late) // 2]} on"
+    ways = [
+        (runs.x[:, None] * runs.groups.indicators, runs.groups.index, "from session to session"),
+        (np.column_stack((late, runs.x * late)), late.astype(int), halves),
+    ]
+    tests = [(*test, of, words) for more, of, words in ways if (test := _f_test(line, more, y))]
+    if not tests:
+        return None
+    statistic, name, p_value, of, words = min(tests, key=lambda test: test[2])
+    x, y = runs.groups.within(runs.x), runs.groups.within(y)
+    square = np.bincount(of, x**2)
+    some = square > ALIASED * square.mean()
+    slopes = UM * fit.law.slope_m_per_N + (np.bincount(of, x * y) / np.where(some, square, 1.0))[some]
+    sentences = (
+        "One law holds in all sessions, and in the second half of the runs as in the first.",
+        f"The law differs {words} (slopes {slopes.min():.3g} to {slopes.max():.3g} um/N), more than runs explain, which "
+        "no interval holds: another wheel, or loads weighed or stated in another way; fit the parts apart.",
+    )
+    return p_check("same_law", statistic, name, min(len(tests) * p_value, 1.0), sentences, fails=True)
+
+
 def _lack_of_fit(runs: _Residuals) -> Check | None:
     group = load_groups(runs.fit.load_N)
-    n, levels = len(runs.x), int(group.max()) + 1
+    levels = int(group.max()) + 1
     if levels < 3:
         sentence = "With two loads any law runs through both: straightness cannot be tested; add a third load between."
         return Check("lack_of_fit", NOTE, sentence)
     if runs.fit.design == "confounded":
         return None
-    y = runs.fit.residual_m * UM
-    line = runs.fit.design_basis(runs.session)
-    reduced, rank_reduced = _squares(line, y)
-    full, rank_full = _squares(np.column_stack((line, np.eye(levels)[group])), y)
-    dof_levels, dof = rank_full - rank_reduced, n - rank_full
-    if dof_levels < 1 or dof < 3 or full <= 0:
+    test = _f_test(runs.fit.design_basis(runs.session), np.eye(levels)[group], runs.fit.residual_m * UM)
+    if test is None:
         few = "Too few repeats at the same load to tell lack of fit from scatter; drive each load twice or more."
         return Check("lack_of_fit", NOTE, few)
-    statistic = (reduced - full) / dof_levels / (full / dof)
-    p_value = float(fdtrc(dof_levels, dof, max(statistic, 0.0)))
-    hint = _with_other_load(runs, several=True) if p_value < NOTE_BELOW else ""
+    hint = _with_other_load(runs, several=True) if test[2] < NOTE_BELOW else ""
     sentences = (
         "The straight line fits as well as the repeats at each load allow.",
         "The mean radii at the loads miss the straight line by more than repeats explain: use the law between "
         f"neighbouring measured loads only, or look for a load that is misreported.{hint}",
     )
-    return p_check("lack_of_fit", statistic, f"F({dof_levels}, {dof})", p_value, sentences, fails=True)
+    return p_check("lack_of_fit", *test, sentences, fails=True)
 
 
 def _with_other_load(runs: _Residuals, *, several: bool) -> str:
