@@ -210,7 +210,7 @@ def _curve_load(effect: _Effect, step: _Step, change: _Change) -> None:
 
 
 def _side_slip(effect: _Effect, step: _Step, change: _Change) -> None:
-    turned = step.curvature_per_m(step.nominal) * step.nominal.way_m
+    turned = -step.nominal.turn_rad if step.nominal.way_m < 0.0 else step.nominal.turn_rad
     angle = effect.size("slip_per_acceleration") * step.speed_mps**2
     change.aside_m -= (angle + effect.size("speed_per_acceleration") * abs(step.speed_mps)) * turned
 

@@ -111,8 +111,8 @@ class SideSlip(Effect):
 
         def slips(path: Path, power: int) -> list[Perturbation]:
             # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
-            way_m = quantities.curvature_per_m(path.s) * path.s.path_m
-            return [Perturbation(lateral_m=-(np.abs(path.s.speed_mps) ** power) * way_m)]
+            turned_rad = np.sign(path.s.path_m) * path.s.turn_rad
+            return [Perturbation(lateral_m=-(np.abs(path.s.speed_mps) ** power) * turned_rad)]
 
         angle = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2, sign=1)
         offers = [
