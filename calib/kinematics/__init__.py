@@ -28,8 +28,6 @@ AT_START_M: Final = 0.1
 #: kinds of runs led along a line, and the nominal turn up to which that is believed
 LED: Final = ("corridor", "straight", "line")
 LED_RAD: Final = 1.2
-#: steps of a counter in a sample below which the speed between two samples is known to 8 % at best, and jumps
-COARSE_STEPS: Final = 5.0
 #: turn up to which a run of end counts alone is taken for one arc
 ONE_ARC_RAD: Final = 0.2
 
@@ -64,8 +62,6 @@ class Recording:
     clock_rate: float = 0.0
     #: runs of positions alone in a map: only the course tells a heading; None: none, shape (n_runs,)
     by_course: BoolArray | None = None
-    #: counters move by few steps a sample: see `COARSE_STEPS`
-    coarse: bool = False
 
     def __len__(self) -> int:
         return len(self.run_id)
@@ -242,7 +238,6 @@ def recording_of(campaign: Campaign, source: str, *, planned: bool = False) -> R
         parts = [getattr(piece, name) for piece in pieces]
         return None if any(part is None for part in parts) else np.concatenate(parts, axis=-1)
 
-    turned_rad = np.concatenate([piece.turned for piece in pieces], axis=1)
     return Recording(
         run_id=runs.run_id,
         session=runs.label("session"),
@@ -250,7 +245,7 @@ def recording_of(campaign: Campaign, source: str, *, planned: bool = False) -> R
         offsets=np.cumsum([0, *(len(piece.t_s) for piece in pieces)]),
         t_s=np.concatenate([piece.t_s for piece in pieces]),
         steps=Steps(
-            turned_rad=turned_rad,
+            turned_rad=np.concatenate([piece.turned for piece in pieces], axis=1),
             steer_rad=joined("steer"),
             load_offset_N=joined("loads"),
             speed_mps=joined("speed") if source == "shaft" else None,
@@ -261,12 +256,7 @@ def recording_of(campaign: Campaign, source: str, *, planned: bool = False) -> R
         by_course=np.array([piece.by_course for piece in pieces]),
         left_out=left_out,
         speeds=campaign.logs.speeds,
-        coarse=any(_coarse(np.abs(wheel[wheel != 0.0])) for wheel in turned_rad),
     )
-
-
-def _coarse(steps: FloatArray) -> bool:
-    return bool(len(steps) and np.median(steps) < COARSE_STEPS * steps.min())
 
 
 class _Run(NamedTuple):

@@ -246,10 +246,10 @@ def _at_times(
     clock = np.maximum.accumulate(t_s + shift[recording.run])
     at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
     near = np.clip(at + np.arange(-1, 3)[:, None], low, high)
-    weights, per_s_late = _between(t_s[near], wanted)
+    weights = _between(t_s[near], wanted)
     before, after = np.maximum(at - 2, low), np.minimum(at + 3, high)
     per_s = 1.0 / np.where(t_s[after] > t_s[before], t_s[after] - t_s[before], np.inf)
-    pose, inside = np.einsum("pin,in->pn", path.pose[:, near], weights), wanted == t_s[used] - delay
+    pose = np.einsum("pin,in->pn", path.pose[:, near], weights)
     velocity, seen = ((each[:, after] - each[:, before]) * per_s for each in (path.pose, recording.reference))
     moved = np.hypot(*seen[:2]) > ON_THE_MOVE * np.hypot(*velocity[:2])
     before_s = np.where(moved, np.minimum(t_s[used] - delay - wanted, 0.0), 0.0)
@@ -258,25 +258,18 @@ def _at_times(
         samples, inverse = np.unique([*near, before, after], return_inverse=True)
         *by_near, by_before, by_after = np.moveaxis(path.by_parameter(samples)[..., inverse], -2, 0)
         by_parameter = np.einsum("ikpn,in->kpn", by_near, weights) + before_s * (by_after - by_before) * per_s
-    # the derivative of what is fitted, or the search ends short of it; by coarse counters it jumps from step to step
-    by_time = np.where(inside, np.einsum("pin,in->pn", path.pose[:, near], per_s_late), (before_s < 0.0) * velocity)
-    by_time = velocity if recording.coarse else by_time
-    return pose + before_s * velocity, np.concatenate([by_parameter, -by_time[None]]), places
+    return pose + before_s * velocity, np.concatenate([by_parameter, -velocity[None]]), places
 
 
-def _between(t_s: FloatArray, wanted_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-    # weights of a cubic between the inner two samples, and their derivatives by time: a chord would cut curves and lag
-    # behind a vehicle that speeds up
+def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
+    # weights of a cubic between the inner two samples: a chord would cut curves and lag behind a vehicle that speeds up
     before, span, after = np.diff(t_s, axis=0)
     span = np.where(span > 0.0, span, np.inf)
     share = (wanted_s - t_s[1]) / span
     # a step of no length, at the end of a run, leaves the velocity of the step itself
-    bend = np.stack([share * (1.0 - share) ** 2, (1.0 - share) * (1.0 - 3.0 * share)]) / (1.0 + before / span)
-    end = np.stack([share**2 * (share - 1.0), share * (3.0 * share - 2.0)]) / (1.0 + after / span)
-    step = np.stack([share, np.ones_like(share)]) - bend * before / span - end * after / span
-    one = np.array([[1.0], [0.0]])
-    weights, rates = np.stack([-bend, one + bend - step, step - end, end], axis=1)
-    return weights, rates / span
+    begin, end = share * (1.0 - share) ** 2 / (1.0 + before / span), share**2 * (share - 1.0) / (1.0 + after / span)
+    step = share - begin * before / span - end * after / span
+    return np.stack([-begin, 1.0 + begin - step, step - end, end])
 
 
 def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, high: IntArray) -> FloatArray:

@@ -193,7 +193,8 @@ def solve(
             converged = True
             break
         part = LONGEST / max(float(np.max(np.abs(spreads), initial=0.0)), LONGEST)
-        least_part = CLOSE / max(sigmas, CLOSE) / part
+        # a delay's derivative is the speed over some samples, and its root no minimum: shorter steps find nothing
+        least_part = INEXACT / max(sigmas, INEXACT) / part
         advanced = _advance(model, (values, prediction), part * step, least_part, whitener, nominal)
         # the noise at this place first: by it there may be a step
         if advanced is None and number >= noise_rounds - 1:

@@ -96,8 +96,8 @@ def _same_law(runs: _Residuals) -> Check | None:
     slopes = UM * fit.law.slope_m_per_N + (np.bincount(of, x * y) / np.where(some, square, 1.0))[some]
     sentences = (
         "One law holds in all sessions, and in the second half of the runs as in the first.",
-        f"The law differs {words} (slopes {slopes.min():.3g} to {slopes.max():.3g} um/N), more than runs explain, which "
-        "no interval holds: another wheel, or loads weighed or stated in another way; fit the parts apart.",
+        f"The law differs {words} (slopes {slopes.min():.3g} to {slopes.max():.3g} um/N), more than runs explain, and "
+        "no interval holds it: another wheel, or loads weighed or stated in another way; fit the parts apart.",
     )
     return p_check("same_law", statistic, name, min(len(tests) * p_value, 1.0), sentences, fails=True)
 
