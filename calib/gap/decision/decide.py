@@ -82,7 +82,8 @@ def decide(evidence: Evidence) -> Diagnosis:
     placed, unexplained = naming.places_as_unexplained(evidence, likely, unexplained)
     doubted, causes = len(likely) < len(causes), [cause for cause in likely if cause not in placed]
     causes = naming.limited_beside(causes, unexplained, naming.left_held_out(evidence))
-    causes = naming.limited_to_even(causes, open_sizes := unchecked(evidence, causes))
+    shared = {cause.effect for cause, _ in naming.Finding(causes, certain, differing=differing).parts()}
+    causes = naming.limited_to_even(causes, shared.union(open_sizes := unchecked(evidence, causes)))
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     stated |= {cause.effect: min(cause.probability, EVEN_PROBABILITY) for cause in placed}
     stated["unknown"] = max([stated["unknown"], *(cause.probability for cause in placed)])
