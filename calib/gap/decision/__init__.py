@@ -19,6 +19,8 @@ MOST_VALUES: Final = 8
 FEWEST_UNITS: Final = 2
 #: largest share that others can replace
 MOST_HELD_OUT: Final = 0.6
+#: name of groups by time
+ORDER: Final = "order"
 #: speeds and loads within this share of the largest are one value
 SAME_VALUE: Final = 0.1
 
@@ -36,6 +38,19 @@ def most_square(n_readings: int, dof: float = 0.0) -> float:
 
     known = max(dof, 3.0) if dof > 0.0 else FLOOR_DOF
     return n_readings * float(fdtri(max(n_readings, 1), known, 1.0 - FALSE_ALARM))
+
+
+def chance_of_order(values: FloatArray) -> tuple[float, bool]:
+    """Return the chance that values (n,) follow their order so closely, and whether they rise.
+
+    By the number of pairs out of order (Kendall, Biometrika 30, 1938), whose distribution is exact.
+    """
+    n, chances = len(values), np.ones(1)
+    for k in range(2, n + 1):
+        chances = np.convolve(chances, np.full(k, 1.0 / k))
+    falling = int(np.triu(values[:, None] > values).sum())
+    rises = falling < n * (n - 1) // 4
+    return min(1.0, 2.0 * float(chances[: min(falling, len(chances) - 1 - falling) + 1].sum())), rises
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +145,7 @@ def groupings(observations: Observations, *, by_balance: bool = False) -> dict[s
     if by_balance:
         quantities["balance"] = _binned(np.nan_to_num(left - right), load_width, "{:+.0f} N left over right")
         halves = np.array(["the first half of the runs", "the second half of the runs"])
-        quantities["time"] = halves[2 * np.arange(len(load)) // len(load)]
+        quantities[ORDER] = halves[2 * np.arange(len(load)) // len(load)]
     stated = {name: np.where(values == "", "not stated", values) for name, values in quantities.items()}
     return {name: _joined(values) for name, values in stated.items() if len(np.unique(values)) > 1}
 

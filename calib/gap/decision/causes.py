@@ -1,6 +1,6 @@
 """The named causes with their sizes and shares, and the unexplained residual beside them."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final
@@ -299,6 +299,18 @@ class Finding:
     def probability(self, cause: Cause) -> float:
         """Return the probability of a cause or an effect that it is confounded with."""
         return self.certain.get(cause.effect, cause.probability)
+
+    def parts(self) -> Iterator[tuple[Cause, Cause]]:
+        """Yield causes that may be a part of a stronger one, whose size differs between runs, and that one.
+
+        It acts as something else, of which radii that are nearly certain are no part.
+        """
+        odd = [cause for cause in self.causes if cause.effect in self.differing]
+        strongest = max(odd, key=lambda cause: cause.signal, default=None)
+        for cause in self.causes:
+            sure = cause.effect in NAMES and self.probability(cause) >= CERTAIN_PROBABILITY
+            if strongest is not None and not sure and cause.signal < strongest.signal:
+                yield cause, strongest
 
     @property
     def leaves_part(self) -> bool:

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from calib.campaign.wheels import turn_between_samples_rad
-from calib.gap.decision import groupings
+from calib.gap.decision import ORDER, chance_of_order, groupings
 from calib.gap.decision.diagnosis import Cause, Evidence
 from calib.gap.decision.held_out import MOST_SESSION_FOLDS, improvement_of, left_with_others
 from calib.gap.effects import Family
@@ -31,7 +31,7 @@ from calib.gap.inference.noise_components import COMPONENTS, kernels
 from calib.gap.localise import ON_THE_FLOOR
 from calib.gap.observations import Channel
 from calib.gap.predict import residuals
-from calib.types import FloatArray, StrArray
+from calib.types import FloatArray, IntArray, StrArray
 
 #: relative step of a radius: unit of the scatter
 _STEP: Final = 5e-4
@@ -189,7 +189,7 @@ class SizeDifference:
     """A cause whose size differs between groups of runs beyond noise and deviations of its form."""
 
     effect: str
-    by: str  #: what the runs are grouped by: ``kind``, ``speed``, ``load``, ``balance``, ``direction``, ``session``
+    by: str  #: what the runs are grouped by, see `groupings`
     value: str  #: the group that differs most significantly
     reference: str  #: the group that determines the size best
     ratio: float  #: size on the one over the size on the other
@@ -199,6 +199,11 @@ class SizeDifference:
     @property
     def sentence(self) -> str:
         """What differs, with figures and what to do."""
+        if self.by == ORDER:
+            return (
+                f"the size of {self.effect} drifts with the order driven (p = {self.p_value:.1g}): what warms up or "
+                "wears is no constant"
+            )
         return (
             f"the size of {self.effect} differs by {self.by}: on {self.value} it is {self.ratio:.2g} +- "
             f"{2.0 * self.ratio_sd:.1g} times that on {self.reference} (p = {self.p_value:.1g}): another effect "
@@ -219,7 +224,13 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
     contributions = _contributions(evidence, names)
 
     def difference(effect: str, by: str, beside: FloatArray | None = None) -> SizeDifference | None:
-        return _difference(evidence.left_out, effect, contributions[effect], by, groups[by], beside)
+        found = _difference(evidence.left_out, effect, contributions[effect], by, groups[by], beside)
+        if found is None or by != ORDER or abs(found.ratio - 1.0) <= FORM_ERROR:
+            return found
+        if not (evidence.observations.windowed and evidence.search.weighting.name):
+            return found
+        # recordings scatter beyond noise: what follows the order driven is no scatter
+        return replace(found, p_value=_chance_of_drift(evidence, contributions[effect], beside))
 
     pairs = ((effect, by) for effect in contributions for by in groups)
     tested = [test for effect, by in pairs if (test := difference(effect, by)) is not None]
@@ -264,12 +275,7 @@ def _difference(
     reference, *others = sorted((v for v in squares if squares[v] > NOISE_LEVELS**2), key=lambda v: -squares[v]) or [""]
     if not others:
         return None
-    nuisance = fit.columns[:, :0] if beside is None else beside
-    further = np.column_stack([nuisance, *(np.where(on_rows == value, contribution, 0.0) for value in others)])
-    own = np.concatenate([fit.precision, np.full(nuisance.shape[1], 1.0 / SIZE_SD**2)])
-    precision = np.concatenate([own, np.full(len(others), DIFFERENCE_PRECISION)])
-    estimates, covariance = fit.weighting.solve(np.concatenate([fit.columns, further], axis=1), precision)
-    change, covariance = estimates[-len(others) :], covariance[-len(others) :, -len(others) :]
+    change, covariance = _changes(fit, contribution, on_rows, others, beside)
     sd = np.sqrt(np.diag(covariance))
     covariance = covariance + FORM_ERROR**2 * (np.eye(len(others)) + 1.0)
     largest = int(np.argmax(np.abs(change) / sd))
@@ -277,6 +283,30 @@ def _difference(
     p_value = float(fdtrc(len(others), max(fit.noise.dof, 3.0), statistic))
     ratio = 1.0 + float(change[largest])
     return SizeDifference(effect, by, others[largest], reference, ratio, float(sd[largest]), p_value)
+
+
+def _changes(
+    fit: HeldOutFit,
+    contribution: FloatArray,
+    on_rows: StrArray | IntArray,
+    values: Sequence[str | int],
+    beside: FloatArray | None,
+) -> tuple[FloatArray, FloatArray]:
+    # relative changes of a contribution's size on groups of rows, and their covariance
+    nuisance, n = fit.columns[:, :0] if beside is None else beside, len(values)
+    further = np.column_stack([nuisance, *(np.where(on_rows == value, contribution, 0.0) for value in values)])
+    own = np.concatenate([fit.precision, np.full(nuisance.shape[1], 1.0 / SIZE_SD**2)])
+    precision = np.concatenate([own, np.full(n, DIFFERENCE_PRECISION)])
+    estimates, covariance = fit.weighting.solve(np.concatenate([fit.columns, further], axis=1), precision)
+    return estimates[-n:], covariance[-n:, -n:]
+
+
+def _chance_of_drift(evidence: Evidence, contribution: FloatArray, beside: FloatArray | None) -> float:
+    # that sizes of recordings follow the order driven so closely
+    fit, run = evidence.left_out, evidence.observations.run[evidence.left_out.weighting.system.blocks.unit]
+    strong = np.flatnonzero(np.bincount(run, contribution**2) > NOISE_LEVELS**2)
+    changes, _ = _changes(fit, contribution, run, strong[1:].tolist(), beside)
+    return chance_of_order(np.append(0.0, changes))[0]
 
 
 def unchecked(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, str]:

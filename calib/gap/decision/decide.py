@@ -68,7 +68,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     """Return the diagnosis with its sentence; the caller adds detection limits and runs to drive next."""
     confounded = without_refuted(evidence, confounding.groups_of(evidence))
     groups, forms_open = _by_family(evidence, confounded)
-    unexplained = naming.unexplained_of(evidence)
+    unexplained, situation = naming.unexplained_of(evidence), evidence.situation
     stated = confounding.effect_probabilities(evidence, confounded)
     certain = confounding.with_alternatives(evidence, confounded)
     probable = {name for name, probability in certain.items() if probability >= NAMED_PROBABILITY}
@@ -82,12 +82,12 @@ def decide(evidence: Evidence) -> Diagnosis:
     placed, unexplained = naming.places_as_unexplained(evidence, likely, unexplained)
     doubted, causes = len(likely) < len(causes), [cause for cause in likely if cause not in placed]
     causes = naming.limited_beside(causes, unexplained, naming.left_held_out(evidence))
-    causes = naming.limited_to_even(causes, open_sizes := unchecked(evidence, causes))
+    shared = {cause.effect for cause, _ in naming.Finding(causes, certain, differing=differing).parts()}
+    causes = naming.limited_to_even(causes, shared.union(open_sizes := unchecked(evidence, causes)))
     stated |= {cause.effect: cause.probability for cause in causes if cause.effect in stated}
     stated |= {cause.effect: min(cause.probability, EVEN_PROBABILITY) for cause in placed}
     stated["unknown"] = max([stated["unknown"], *(cause.probability for cause in placed)])
-    closure, situation = evidence.held_out.closure, evidence.situation
-    gap_probability = confounding.gap_probability(evidence)
+    closure, gap_probability = evidence.held_out.closure, confounding.gap_probability(evidence)
     share = 1.0 if evidence.denied else None if unexplained is None else unexplained.share
     doubtful = doubted or bool(open_sizes) or _rather_not(causes, certain)
     kind = _kind(evidence, gap_probability, causes, share, groups, differing, doubtful)

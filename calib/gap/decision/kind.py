@@ -255,8 +255,8 @@ def stands_off(evidence: Evidence) -> bool:
     """Return whether runs that agree stand off on one side beyond the reach of noise.
 
     All runs of a condition, or one of a route by that much and another beyond noise on that route. Of recordings also
-    whether all together are off by what no single one is by noise; where no repeats measure it, whether all are off
-    beyond any level as uncertain as `log_marginal` takes the stated one.
+    whether all together are off by what no single one is by noise, or any one where others were omitted; where no
+    repeats measure it, whether all are off beyond any level as uncertain as `log_marginal` takes the stated one.
     """
     usable, noise = evidence.observations.usable, evidence.noise
     if noise.dof <= 0.0 and evidence.fitted.chi_square > most_square(int(usable.sum())):
@@ -264,8 +264,10 @@ def stands_off(evidence: Evidence) -> bool:
     scaled = np.where(usable, evidence.fitted.left / noise.floor, 0.0)
     known = np.broadcast_to(noise.dof if noise.levels_dof is None else noise.levels_dof, usable.shape)
     reach = reach_of_noise(known, int(usable.sum()))
-    if evidence.observations.windowed and ((scaled**2).sum(axis=0) > (reach**2 * usable).sum(axis=0)).any():
-        return True
+    if evidence.observations.windowed:
+        together = ((scaled**2).sum(axis=0) > (reach**2 * usable).sum(axis=0)).any()
+        if together or (evidence.situation.omitted and (abs(scaled) > reach).any()):
+            return True
     _, condition, count = np.unique(evidence.observations.condition, return_inverse=True, return_counts=True)
     agree = [np.bincount(condition, beyond) == count for beyond in [*(reach < scaled).T, *(-reach > scaled).T]]
     recordings, _ = np.unique(np.stack([condition, evidence.observations.run]), axis=1)

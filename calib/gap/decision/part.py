@@ -237,20 +237,14 @@ def is_named_beside(cause: Cause, fix: Fix, finding: Finding) -> bool:
 
 
 def _parted(finding: Finding) -> tuple[list[Cause], dict[str, str], bool]:
-    causes, differing = finding.causes, finding.differing
+    causes = finding.causes
     dropped = {cause.effect: text for cause in causes for text in rule.doubts(cause, finding)}
     # a session's own step says nothing of the next, and takes nothing from what holds in all
     kinds = [kind for kind in (effect_class(cause.effect) for cause in causes) if kind.per_session]
     dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
-    # what differs between runs acts as something else: a weaker cause may be a part of that, but nearly certain radii
-    other = max((cause for cause in causes if cause.effect in differing), key=lambda cause: cause.signal, default=None)
-    for cause in causes:
-        sure = cause.effect in NAMES and finding.probability(cause) >= CERTAIN_PROBABILITY
-        if other is not None and not sure and cause.effect not in dropped and cause.signal < other.signal:
-            dropped[cause.effect] = (
-                f"{cause.effect} has a signal of {cause.signal:.0f} beside {other.effect} with {other.signal:.0f}, "
-                "whose size differs between runs: it may be a part of that"
-            )
+    for cause, other in finding.parts():
+        text = f"{cause.effect} has a signal of {cause.signal:.0f} beside {other.effect} with {other.signal:.0f}"
+        dropped.setdefault(cause.effect, f"{text}, whose size differs between runs: it may be a part of that")
     kept = [cause for cause in causes if cause.effect not in dropped]
     n_probable = len(kept)
     while (least := rule.improbable(kept, finding)) is not None:

@@ -12,7 +12,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.coefficients.sections import EffectSection
 from calib.errors import BadInputError, RefusedError
-from calib.gap.decision import most_square
+from calib.gap.decision import chance_of_order, most_square
 from calib.gap.decision.confounding import calibrated
 from calib.gap.decision.diagnosis import Situation
 from calib.gap.effects import Effect, forms_on
@@ -33,8 +33,8 @@ from calib.gap.effects.mounting import MIN_TURN_RAD, RESTATED, Mounting, Restate
 from calib.gap.effects.reference import ReferenceLatency, ReferenceYaw
 from calib.gap.effects.simulator import as_simulated
 from calib.gap.effects.steering import steering_blunder
-from calib.gap.inference import CERTAIN_PROBABILITY, LOG_EVIDENCE_WINDOW
-from calib.gap.inference.fit import Fitted, fit, recalibrate, squares_by_unit
+from calib.gap.inference import CERTAIN_PROBABILITY, FALSE_REJECTION, LOG_EVIDENCE_WINDOW
+from calib.gap.inference.fit import CALIBRATION_SD, Fitted, fit, recalibrate, squares_by_unit, whitened, whitened_rows
 from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.observations import Channel, Observations
@@ -291,7 +291,8 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
     """Return the few recordings, by id, each its share off, that are off by themselves.
 
     Outliers of a joint estimate that fits all others, else the one that is three times as far off as any other once
-    these are recalibrated: no cause that acts in all takes it off so far.
+    these are recalibrated: no cause that acts in all takes it off so far. Not the first or last one driven that goes on
+    where the others tend to, as tyres warm up.
     """
     from calib.kinematics.estimate import estimate_geometry
 
@@ -303,7 +304,8 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
         geometry = estimate_geometry(situation.campaign)
         outliers = [names.index(name) for name in geometry.outliers if name in names]
         if geometry.passed and 0 < len(outliers) <= most:
-            return _named(_by_others(nominal, noise, np.isin(unit, outliers)), unit, outliers)
+            others = _by_others(nominal, noise, np.isin(unit, outliers))
+            return {} if _go_on(others, noise, unit, outliers) else _named(others, unit, outliers)
     except RefusedError:
         pass
 
@@ -315,7 +317,23 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
     others = _by_others(nominal, noise, unit == worst)
     alone = off(others)
     apart = most > 0 and alone[worst] > BAD_RUN_RATIO * max(np.delete(alone, worst))
-    return _named(others, unit, [worst]) if apart else {}
+    return _named(others, unit, [worst]) if apart and not _go_on(others, noise, unit, [worst]) else {}
+
+
+def _go_on(others: Fitted, noise: Noise, unit: IntArray, lone: Sequence[int]) -> bool:
+    """Return whether the first or last recording is off by radii and track that the others have more and more of."""
+    seen, last = others.path.s, int(unit.max())
+    row = unit[np.nonzero(seen.usable)[0]]
+    columns = whitened_rows(others.path, noise, others.path.calibration) * CALIBRATION_SD
+    gap = whitened(others.path, noise, others.left)
+    own = [(columns[row == k], gap[row == k]) for k in range(last + 1)]
+    sizes = np.array([np.linalg.solve(c.T @ c + np.eye(c.shape[1]), c.T @ g) for c, g in own])
+    for end in {0, last}.intersection(lone):
+        lean = np.delete(sizes @ own[end][0].T @ (own[end][0] @ sizes[end]), lone)
+        chance, rises = chance_of_order(lean)
+        if chance < FALSE_REJECTION and rises == (end > 0):
+            return True
+    return False
 
 
 def _by_others(nominal: Path, noise: Noise, mine: BoolArray) -> Fitted:

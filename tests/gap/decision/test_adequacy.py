@@ -209,17 +209,26 @@ def test_two_runs_of_a_route_that_agree_are_no_single_runs(off: dict[int, float]
     assert stands_off(evidence) is found  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(("run", "found"), [(np.arange(24) // 2, False), (np.arange(24), True)])
-def test_windows_of_one_recording_that_agree_share_what_its_radii_are_off_by(run: IntArray, found: bool) -> None:
-    """Two windows alike stand off: of one recording that scatters, or of two recordings."""
+@pytest.mark.parametrize(
+    ("run", "omitted", "found"),
+    [(np.arange(24) // 2, {}, False), (np.arange(24), {}, True), (np.arange(24) // 2, {"rec9": 0.01}, True)],
+)
+def test_windows_of_one_recording_that_agree_share_what_its_radii_are_off_by(
+    run: IntArray, omitted: dict[str, float], found: bool
+) -> None:
+    """Two windows alike stand off: of one recording that scatters, or of two recordings.
+
+    Where another recording was omitted the scatter is of none that was alone: no all-clear beside windows so far off.
+    """
     left = np.zeros((24, 6))
     left[6:8, 2] = 6.0
     condition = np.arange(24) // 2
     observations = SimpleNamespace(
         usable=np.ones((24, 6), bool), condition=condition, kind=condition, run=run, windowed=True
     )
-    noise = SimpleNamespace(floor=np.ones((24, 6)), dof=90.0, levels_dof=None)
-    evidence = SimpleNamespace(observations=observations, noise=noise, fitted=SimpleNamespace(left=left))
+    noise, situation = SimpleNamespace(floor=np.ones((24, 6)), dof=90.0, levels_dof=None), SimpleNamespace()
+    situation.omitted, fitted = omitted, SimpleNamespace(left=left)
+    evidence = SimpleNamespace(observations=observations, noise=noise, fitted=fitted, situation=situation)
     assert stands_off(evidence) is found  # type: ignore[arg-type]
 
 

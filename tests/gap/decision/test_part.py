@@ -84,6 +84,10 @@ def test_a_cause_weaker_than_one_whose_size_differs_may_be_a_part_of_that() -> N
         Finding([zone, cause("wear", signal=9.0)], {"floor_zone": 0.95, "wear": 0.95}, None, differing)
     )
     assert kept == [] and "wear has a signal of 9 beside floor_zone with 27" in dropped["wear"]
+    # nor is it stated beyond even odds, but for radii that are nearly certain
+    causes = [zone, cause("wear", signal=9.0), cause("track_width", signal=9.0)]
+    pairs = Finding(causes, {"wear": 0.95, "track_width": 0.95}, None, differing).parts()
+    assert [(part.effect, whole.effect) for part, whole in pairs] == [("wear", "floor_zone")]
     kept, _, _ = _parted(
         Finding([zone, cause("wear", signal=34.0)], {"floor_zone": 0.95, "wear": 0.95}, None, differing)
     )
