@@ -171,11 +171,11 @@ def fit_parameters(
         undetermined = left_open(uncertainty, parameters)
         something = set(free) - set(undetermined) or (len(radii) > 1 and MEAN_RADIUS not in undetermined)
         # noise of the counts alone makes what straights leave open, such as the track, too large
-        off = np.abs(solution.values - parameters.nominal) > 2.0 * parameters.prior_std
-        off &= np.isin(parameters.names, undetermined)
-        if parameters.pulled and something and off.any():
-            never = (*never, *compress(parameters.names, off))
-            attempts.append(replace(parameters, free=parameters.free & ~off))
+        beyond = np.abs(solution.values - parameters.nominal) > 2.0 * parameters.prior_std
+        beyond &= np.isin(parameters.names, undetermined)
+        if parameters.pulled and something and beyond.any():
+            never = (*never, *compress(parameters.names, beyond))
+            attempts.append(replace(parameters, free=parameters.free & ~beyond))
         elif not undetermined or (parameters.pulled and something):
             return Fitted(model, parameters, solution, uncertainty, (*undetermined, *never), recording)
     raise RefusedError(
