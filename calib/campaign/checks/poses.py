@@ -157,13 +157,14 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
     runs, offset, turned, counted = _bows(campaign)
     if not len(runs):
         return
-    # noise of the one divided by flattens a slope: the ratio lies between this and that of counts over reference
-    (ratio, error), (inverse, other) = _slope(counted, offset - turned), _slope(offset - turned, counted)
-    sense = 1.0 if ratio > 1.0 else -1.0
-    if ratio <= 1.0:
-        ratio, error = 1.0 / (inverse or 1e-9), other / (inverse or 1e-9) ** 2
-    if error > 0.1 or sense * (ratio - 1.0) < max(_TRACK_TOLERANCE, _SIGMAS * error):
+    # noise of what divides flattens a slope: the ratio lies between the one over the counts' and over the reference's
+    bowed = offset - turned
+    ratio, error = _slope(counted, bowed)
+    above = ratio > 1.0
+    far, error = (ratio, error) if above else _slope(bowed, counted)
+    if error > 0.1 * abs(far) or 0.0 <= far < 1.0 + max(_TRACK_TOLERANCE, _SIGMAS * error):
         return
+    ratio, error = (far, error) if above else (1.0 / far, error / far**2)
     track = campaign.vehicle.track_m
     hint = f"is the track {track / ratio:.3g} m?" if 0.5 < ratio < 2.0 else "check track_m and the reference's frame"
     text = f"""{len(offset)} straight runs bow out {ratio:.3g} times as far as their counts say with a track of
