@@ -87,6 +87,14 @@ def would_overwrite(path: Path | str) -> BadInputError:
     return BadInputError(f"{path}: found an existing file; expected a new one; give force=True to replace it")
 
 
+def refused_place(where: str, error: OSError) -> str:
+    """Return what the file system refuses, and what to do."""
+    found = f"{where}: found {error.strerror or error}; expected"
+    if isinstance(error, PermissionError):
+        return f"{found} a file or folder that this user may read, or write to; change its rights, or choose another"
+    return f"{found} a place that works; choose another, or more room"
+
+
 def missing_reader(shown: str, what: str, package: str, extra: str) -> BadFileError:
     """Return the error of a format whose package is not installed, with the command that installs it."""
     return BadFileError(

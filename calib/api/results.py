@@ -18,7 +18,7 @@ from calib.campaign.ingest import describe as descriptions
 from calib.campaign.ingest.describe import Description
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign, read_or_ingest
-from calib.errors import BadInputError
+from calib.errors import BadInputError, refused_place
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.effects.library import check_excluded
 from calib.gap.observations.from_campaign import observations_of
@@ -56,8 +56,7 @@ def checked(function: Callable[Parameters, Returned]) -> Callable[Parameters, Re
         except OSError as error:
             if not isinstance(error.filename, str):
                 raise
-            text = f"{error.filename}: found {error.strerror}; expected a place that works; choose another"
-            raise BadInputError(text) from error
+            raise BadInputError(refused_place(error.filename, error)) from error
 
     return called
 

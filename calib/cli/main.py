@@ -23,7 +23,7 @@ from typer.core import TyperCommand
 from calib import cli
 from calib.cli import COMMANDS, SUMMARIES, command_called, note, with_default
 from calib.documents import to_json
-from calib.errors import BadInputError, CalibError, ImplausibleError, inputs_kept, refuse_special
+from calib.errors import BadInputError, CalibError, ImplausibleError, inputs_kept, refuse_special, refused_place
 from calib.io import refuse_empty
 
 EXIT_FINE: Final = 0
@@ -225,7 +225,7 @@ def _machine_refused(error: Exception) -> str:
     if isinstance(error, OSError) and error.errno != errno.ENOMEM:
         named = isinstance(error.filename, str | bytes)
         where = os.fsdecode(error.filename) if named else "standard output, or a temporary file"
-        return f"{where}: found {error.strerror or error}; expected a place that works; choose another, or more room"
+        return refused_place(where, error)
     if isinstance(error, MemoryError | OSError):
         return "out of memory; expected a campaign that fits; give fewer or shorter runs, or allow more (ulimit -v)"
     if isinstance(error, ImportError) and _NO_ROOM.search(str(error)):

@@ -4,6 +4,7 @@ Delay and steering zero differ between recordings, as random effects; see `docs/
 """
 
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -142,7 +143,8 @@ def fit_parameters(
     radii = [at for at, name in enumerate(free) if "radius" in name]
     alone = np.array([item.nominal for item in items])
     # nominal values pull only where data leave something open: what these determine is theirs alone
-    for parameters in (Parameters.of(items, free), replace(Parameters.of(items, free), pulled=True)):
+    attempts = [Parameters.of(items, free), replace(Parameters.of(items, free), pulled=True)]
+    for parameters in attempts:
         values, far = parameters.nominal, None
         if start is not None and start.parameters.pulled == parameters.pulled:
             values = np.where(parameters.free, start.solution.values, values)
@@ -168,7 +170,13 @@ def fit_parameters(
             uncertainty = expected(solution, parameters.free, segments.run)
         undetermined = left_open(uncertainty, parameters)
         something = set(free) - set(undetermined) or (len(radii) > 1 and MEAN_RADIUS not in undetermined)
-        if not undetermined or (parameters.pulled and something):
+        # noise of the counts alone makes what straights leave open, such as the track, too large
+        beyond = np.abs(solution.values - parameters.nominal) > 2.0 * parameters.prior_std
+        beyond &= np.isin(parameters.names, undetermined)
+        if parameters.pulled and something and beyond.any():
+            never = (*never, *compress(parameters.names, beyond))
+            attempts.append(replace(parameters, free=parameters.free & ~beyond))
+        elif not undetermined or (parameters.pulled and something):
             return Fitted(model, parameters, solution, uncertainty, (*undetermined, *never), recording)
     raise RefusedError(
         f"geometry of {campaign.name!r}: found nothing that these runs determine; expected runs with turns and "

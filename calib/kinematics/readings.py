@@ -343,11 +343,12 @@ def implausible(name: str, ratio: float, most: float, drive: str) -> bool:
 
 
 def implausible_lengths(fitted: Fitted, drive: str) -> list[str]:
-    """Return a `drive`'s lengths further from those stated than wheels and floors make them."""
+    """Return a `drive`'s lengths, of those determined, further from those stated than wheels and floors make them."""
     sentences, parameters, free = [], fitted.parameters, fitted.parameters.free
     sizes = zip(parameters.free_names, parameters.nominal[free], fitted.solution.values[free], strict=True)
     for name, nominal, value in sizes:
-        if not nominal or not (name.startswith(("track", "wheelbase")) or "radius" in name):
+        length = name.startswith(("track", "wheelbase")) or "radius" in name
+        if not nominal or not length or name in fitted.undetermined:
             continue
         change, track = value / nominal - 1.0, name == "track_m"
         if implausible(name, value / nominal, PLAUSIBLE_TRACK_CHANGE if track else PLAUSIBLE_CHANGE, drive):

@@ -4,21 +4,27 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.special import fdtrc, stdtr, stdtrit
+from scipy.special import fdtrc, stdtrit
 
-from calib.campaign.checks import MAX_LOAD_R2, covariate_against_load, direction_sign, partial_slope
+from calib.campaign.checks import direction_sign, partial_slope
 from calib.radius import Groups, breusch_pagan, deletion_effect, groups_of, outliers
-from calib.radius.regression import FAILED, NOTE, OK, SAME_LOAD, Check, WheelFit, distinct_loads, load_groups
+from calib.radius.order import ROUNDING, aliasing_with_load, order_check
+from calib.radius.regression import (
+    FAILED,
+    NOTE,
+    NOTE_BELOW,
+    OK,
+    SAME_LOAD,
+    UM,
+    Check,
+    WheelFit,
+    distinct_loads,
+    load_groups,
+    p_check,
+    t_check,
+)
 from calib.types import FloatArray, StrArray, few_digits
 
-#: p-values below which a check gives a note, and fails: with nine checks a wheel 5 % would give a false note in every
-#: third campaign
-NOTE_BELOW: Final = 0.01
-FAIL_BELOW: Final = 1e-4
-UM: Final = 1e6
-#: largest widening of a slope's interval by autocorrelation that passes: at a correlation of 0.8 and ascending loads it
-#: covers 84 to 89 % instead of 95 %
-MAX_SLOPE_WIDENING: Final = 1.25
 #: with more sessions none can carry the slope alone
 MAX_INFLUENCE_SESSIONS: Final = 100
 #: most pairs of session and load tried as misreported; share of the residual squares that may remain without them
@@ -28,7 +34,7 @@ MAX_SQUARES_LEFT: Final = 0.1
 MAX_OUTLIERS: Final = 10
 #: share of the direction's variance that the load does not explain: below, its variance inflation is above ten (Kutner
 #: et al., 10.5)
-ALIASED, ROUNDING = 0.1, 1e-9
+ALIASED: Final = 0.1
 #: share of the load range by which the reference load may lie outside it
 REFERENCE_MARGIN: Final = 0.02
 #: numbers of runs for which the p-value of the test is valid
@@ -53,7 +59,7 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
     residual = groups.within(fit.residual_m) if 2 <= len(groups) < n else fit.residual_m - fit.residual_m.mean()
     dof = float(n - groups.indicators.shape[1] - (fit.model == "line" and fit.design != "confounded"))
     runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, session, direction, run_id)
-    checks = [_design(fit, groups), _session(fit, groups), _order(fit, session)]
+    checks = [_design(fit, groups), _session(fit, groups), order_check(fit, session)]
     if fit.model == "line":
         checks += [_range(fit), _same_law(runs), _lack_of_fit(runs), _curvature(runs), _equal_scatter(runs)]
     checks += [_session_influence(fit, groups), _influence(runs), _normality(runs), _direction(runs)]
@@ -263,26 +269,6 @@ def _range(fit: WheelFit) -> Check:
     return Check("range", NOTE, f"{words}extrapolated; measure near it, or set reference_load_N in campaign.toml.")
 
 
-def p_check(
-    name: str, statistic: float, statistic_name: str, p_value: float, sentences: tuple[str, str], *, fails: bool = False
-) -> Check:
-    """Return the check of a significance test; see `Check`.
-
-    `sentences`: without and with a finding; `fails`: whether a p-value below `FAIL_BELOW` forbids the law.
-    """
-    level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
-    return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
-
-
-def t_check(
-    name: str, slope: float, sd: float, dof: float, sentences: tuple[str, str], *, fails: bool = False
-) -> Check:
-    """Return the check of a slope by Student's t; see `p_check`."""
-    statistic = slope / sd if sd > 0.0 else 0.0
-    p_value = float(2 * stdtr(dof, -abs(statistic)))
-    return p_check(name, statistic, f"t({dof:.3g})", p_value, sentences, fails=fails)
-
-
 def _on_one_load(fit: WheelFit) -> str:
     words = f"All runs have one load ({fit.law.reference_load_N:.0f} N): a constant radius is given, for that load only"
     return f"{words}, and no slope; drive two further loads at least."
@@ -343,36 +329,6 @@ def _design(fit: WheelFit, groups: Groups) -> Check:
         )
         sentence = f"{sentence} {one_session}".strip()
     return Check("design", level, sentence)
-
-
-def aliasing_with_load(fit: WheelFit, values: FloatArray, session: StrArray) -> tuple[float, float]:
-    """Return `covariate_against_load` within sessions where the slope comes from there, else over all runs."""
-    of = session if fit.design in {"crossed", "mixed"} else np.full(len(values), "")
-    return covariate_against_load(fit.load_N, values, of) if fit.model == "line" else (0.0, 0.0)
-
-
-def _order(fit: WheelFit, session: StrArray) -> Check | None:
-    order, sloped = fit.autocorrelation, fit.design not in {"constant", "confounded"}
-    independent, level = "Runs that follow each other scatter independently.", OK
-    if sloped and aliasing_with_load(fit, np.arange(float(len(session))), session)[0] ** 2 > MAX_LOAD_R2:
-        level = NOTE
-        independent = (
-            "Within the sessions the loads rise or fall with the order driven: what drifts there (warming up, wear) "
-            "looks like load, which no interval holds; drive the loads in random order."
-        )
-    if order is None or order.p_value == 1.0:
-        return Check("order", level, independent) if level == NOTE else None
-    fails = sloped and order.slope_ratio > MAX_SLOPE_WIDENING
-    alike = f"Runs that follow each other scatter alike (correlation about {order.rho:.2g})"
-    alike += (
-        f", and the loads follow the order driven: what lasts looks like load. The intervals are "
-        f"{order.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads in random order."
-        if fails
-        else ": the intervals allow for it; let the wheels warm up, and drive the loads in random order."
-    )
-    sentences, name = (independent, alike), "lag-one autocorrelation"
-    check = p_check("order", order.lag_one, name, order.p_value, sentences, fails=fails)
-    return replace(check, level=level) if check.level == OK else check
 
 
 def _session(fit: WheelFit, groups: Groups) -> Check | None:

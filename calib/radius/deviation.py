@@ -13,10 +13,9 @@ from calib.campaign.model import Campaign
 from calib.campaign.wheels import steered_itself_m
 from calib.documents import plain
 from calib.errors import BadInputError
-from calib.radius.checks import NOTE_BELOW, UM, t_check
 from calib.radius.effective import EffectiveRadii, UnusedRun, usable_runs
 from calib.radius.path_length import PathExcess, arc_excess, correct_paths, small_amplitude_excess, whole_period_excess
-from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, Check, WheelFit
+from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, NOTE_BELOW, UM, Check, WheelFit, t_check
 from calib.types import BoolArray, FloatArray, Row, StrArray, floats, rows_of
 from calib.vehicle import Vehicle
 

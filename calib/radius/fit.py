@@ -15,19 +15,25 @@ from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadInputError, ImplausibleError, RefusedError
 from calib.radius import effective, groups_of
-from calib.radius.checks import (
-    FAIL_BELOW,
-    MAX_CELLS,
-    NOTE_BELOW,
-    UM,
-    aliasing_with_load,
-    t_check,
-    with_checks,
-    without_loads,
-)
+from calib.radius.checks import MAX_CELLS, with_checks, without_loads
 from calib.radius.deviation import weave_checks, with_path_check
 from calib.radius.effective import EffectiveRadii, effective_radii
-from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, OK, SAME_LOAD, Check, WheelFit, fit_wheel, t_quantile
+from calib.radius.order import aliasing_with_load
+from calib.radius.regression import (
+    FAIL_BELOW,
+    FAILED,
+    MIN_SLOPE_DOF,
+    NOTE,
+    NOTE_BELOW,
+    OK,
+    SAME_LOAD,
+    UM,
+    Check,
+    WheelFit,
+    fit_wheel,
+    t_check,
+    t_quantile,
+)
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray, IntArray, StrArray
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import stdtrit
+from scipy.special import stdtr, stdtrit
 
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
@@ -39,6 +39,11 @@ _DOCUMENT: Final = (
 )  # fmt: skip
 #: fewest degrees of freedom of the scatter about a further slope
 MIN_SLOPE_DOF: Final = 5
+#: p-values below which a check gives a note, and fails: with nine checks a wheel 5 % would give a false note in every
+#: third campaign
+NOTE_BELOW: Final = 0.01
+FAIL_BELOW: Final = 1e-4
+UM: Final = 1e6
 #: levels of a check: usable; usable with caution; the law should not be used as it is
 OK: Final = "ok"
 NOTE: Final = "note"
@@ -67,6 +72,26 @@ class Check:
     def to_dict(self) -> dict[str, Any]:
         """Return the check as plain values; an infinite statistic is null."""
         return plain_fields(self, passed=self.passed)
+
+
+def p_check(
+    name: str, statistic: float, statistic_name: str, p_value: float, sentences: tuple[str, str], *, fails: bool = False
+) -> Check:
+    """Return the check of a significance test; see `Check`.
+
+    `sentences`: without and with a finding; `fails`: whether a p-value below `FAIL_BELOW` forbids the law.
+    """
+    level = FAILED if fails and p_value < FAIL_BELOW else NOTE if p_value < NOTE_BELOW else OK
+    return Check(name, level, sentences[p_value < NOTE_BELOW], float(statistic), statistic_name, p_value)
+
+
+def t_check(
+    name: str, slope: float, sd: float, dof: float, sentences: tuple[str, str], *, fails: bool = False
+) -> Check:
+    """Return the check of a slope by Student's t; see `p_check`."""
+    statistic = slope / sd if sd > 0.0 else 0.0
+    p_value = float(2 * stdtr(dof, -abs(statistic)))
+    return p_check(name, statistic, f"t({dof:.3g})", p_value, sentences, fails=fails)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ from tests.campaign.faults import (
     warmer_each_session,
     without_logs,
 )
-from tests.campaign.making import campaign, wandering, with_numbers
+from tests.campaign.making import campaign, wandering, with_log_columns, with_numbers
 
 
 def test_headings_on_a_map_are_absolute() -> None:
@@ -109,6 +109,22 @@ def test_the_track_that_the_bows_want_is_named() -> None:
     (found,) = CHECKS["track_against_bows"](wandering(campaign(), track_m=0.6))
     named = float(found.text.rsplit("is the track ", 1)[1].split(" m?")[0])
     assert abs(named / 0.6 - 1.0) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_straight_runs_whose_wheels_slip_say_nothing_of_the_track(seed: int) -> None:
+    """A guide keeps the runs straight, slip and unequal radii bend what the counts say: the slope of noise is none."""
+    made, rng = wandering(campaign(seed=seed), seed=seed), np.random.default_rng(seed)
+    logs = made.logs
+    apart = np.cumsum(rng.normal(0.0, 10.0, len(logs.columns["t_s"])))
+    rolled = (logs.columns["counts_left"] + logs.columns["counts_right"]) / 2
+    columns = {"counts_left": 1.002 * rolled - apart, "counts_right": 0.998 * rolled + apart}
+    slipped = with_numbers(
+        with_log_columns(made, **columns),
+        ref_y_m=rng.normal(0.0, 2e-3, len(made.runs)),
+        ref_theta_rad=rng.normal(0.0, 8e-4, len(made.runs)),
+    )
+    assert list(CHECKS["track_against_bows"](slipped)) == []
 
 
 def test_turns_that_agree_are_left_alone() -> None:

@@ -295,3 +295,15 @@ def test_clockwise_headings_of_a_turned_sensor_are_named_in_closed_loops(
     found = estimate_geometry(changed(made, lambda log: log | change(log)))
     assert (found.using, found.passed) == ("windows", not words)
     assert [words in fault.text for fault in found.faults] == [True] * bool(words)
+
+
+def test_straights_that_leave_the_track_open_call_it_neither_wrong_nor_wide() -> None:
+    """A guide keeps the vehicle straight while wheels slip: counts that differ at random tell of no track."""
+    rng = np.random.default_rng(3)
+    made = campaign([("corridor", [(20.0, 0.0)])] * 30, Truth(), rng)
+
+    def slipped(log: Columns) -> Columns:
+        return log | {"counts_right": log["counts_right"] * (1.0 + rng.normal(0.0, 2e-4))}
+
+    found = estimate_geometry(changed(made, slipped))
+    assert found.passed and "track_m" in found.undetermined and found.values["track_m"] == pytest.approx(0.4)

@@ -7,7 +7,7 @@ import pytest
 
 from calib.radius import groups_of, stratified_line, widened
 from calib.radius.checks import with_checks
-from calib.radius.regression import FAILED, WheelFit, fit_wheel
+from calib.radius.regression import FAILED, NOTE, OK, WheelFit, fit_wheel
 from calib.types import FloatArray
 
 RADIUS_M, SLOPE_M_PER_N, REFERENCE_N, SCATTER_M = 0.1, 1.3e-6, 300.0, 1.6e-5
@@ -88,3 +88,35 @@ def test_the_variance_under_autocorrelation_is_that_of_the_closed_form(rho: floa
     variance = residual @ residual / np.trace(project @ correlation)
     wanted = variance * (x_within @ correlation @ x_within) / (x_within @ x_within) ** 2
     assert wide.cov_within[1, 1] == pytest.approx(wanted, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("first", "low_m", "level"), [("light", 4e-5, FAILED), ("any", 4e-5, NOTE), ("light", 0.0, OK), ("any", 0.0, OK)]
+)
+def test_first_runs_that_lie_low_are_said_and_fail_where_they_move_the_slope(
+    first: str, low_m: float, level: str
+) -> None:
+    """Cold wheels roll smaller; three light runs before each session tilt the line, three of any load do not.
+
+    The slope without them, by least squares over the runs that are left, is the one they move it from.
+    """
+    rng, n, early = np.random.default_rng(8), 15, np.tile(np.arange(15) < 3, 5)
+    ahead = np.full(3, LOADS_N[0]) if first == "light" else LOADS_N[[0, 2, 4]]
+    load = np.concatenate([np.concatenate((ahead, rng.permutation(np.resize(LOADS_N, n - 3)))) for _ in range(5)])
+    session = np.repeat(list("abcde"), n)
+    radius = RADIUS_M + SLOPE_M_PER_N * (load - REFERENCE_N) + 1.2e-5 * rng.normal(size=5 * n) - low_m * early
+    fit = fit_wheel("left", load, radius, session, reference_load_N=REFERENCE_N)
+    (check,) = (one for one in with_checks(fit, session, np.full(5 * n, ""), session).checks if one.name == "order")
+    assert check.level == level
+    assert ("first runs of the sessions" in check.sentence) == (low_m > 0.0)
+    assert "allow for it" not in check.sentence
+    alone = np.polyfit(load[~early], radius[~early], 1)[0]
+    assert (abs(alone - fit.law.slope_m_per_N) > fit.estimate.half_width((0.0, 1.0))) == (level == FAILED)
+
+
+def test_loads_that_follow_the_order_are_in_no_interval_however_alike_runs_scatter() -> None:
+    """What drifts along rising loads is their slope: wider intervals are no remedy."""
+    fits = [ascending(np.random.default_rng(seed), 0.5) for seed in range(20)]
+    said = [check.sentence for fit in fits for check in fit.checks if check.name == "order" and check.level == NOTE]
+    assert any("scatter alike" in text for text in said)
+    assert all("looks like load" in text and "allow for it" not in text for text in said)

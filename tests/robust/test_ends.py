@@ -166,6 +166,21 @@ def test_a_temporary_folder_that_is_full_or_absent_is_one_line_or_no_matter(
     assert not list(tmp_path.iterdir())
 
 
+def test_a_folder_that_may_not_be_read_is_said_with_its_cure(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Another place or more room would be no help."""
+
+    def refused(*_: object, **__: object) -> str:
+        raise PermissionError(13, "Permission denied", "logs")
+
+    monkeypatch.setattr(tempfile, "mkdtemp", refused)
+    assert run(["report", str(made / "result"), "--into", str(tmp_path / "r.pdf")]) == 2
+    err = capsys.readouterr().err
+    assert "logs: found Permission denied" in err and "may read" in err and "change its rights" in err
+    assert "more room" not in err
+
+
 @pytest.mark.parametrize(
     "words",
     [

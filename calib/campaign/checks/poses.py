@@ -119,14 +119,14 @@ def _bows(campaign: Campaign) -> _Bows:
     offset = np.sin(sensor.sensor_yaw_rad) * along + np.cos(sensor.sensor_yaw_rad) * aside
     offset -= sensor.sensor_x_m * np.sin(theta) + sensor.sensor_y_m * (np.cos(theta) - 1.0)
     distance = runs.number("distance_m")
-    counted = np.array([_bow(campaign, int(run), float(distance[run])) for run in used])
+    counted = np.array([_bow(campaign, int(run), float(distance[run]), float(theta[run])) for run in used])
     known = np.isfinite(counted)
     known &= known.sum() >= _LEAST_STRAIGHT_RUNS
     used = used[known]
     return used, offset[used], (0.5 * distance * theta)[used], counted[known]
 
 
-def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
+def _bow(campaign: Campaign, run: int, distance_m: float, turned_rad: float) -> float:
     log = campaign.logs.of(run)
     left, right = (rolled_m(campaign, side, log[f"counts_{side}"] - log[f"counts_{side}"][0]) for side in checks.SIDES)
     along = (left + right) / 2
@@ -134,7 +134,9 @@ def _bow(campaign: Campaign, run: int, distance_m: float) -> float:
         return math.nan
     scale = distance_m / along[-1]
     heading = scale * (right - left) / campaign.vehicle.track_m
-    return float(scale * np.diff(along) @ np.sin((heading[1:] + heading[:-1]) / 2) - 0.5 * distance_m * heading[-1])
+    # turned as the reference has it: of unequal radii, however far off, nothing is left
+    heading += (turned_rad - heading[-1]) * along / along[-1]
+    return float(scale * np.diff(along) @ np.sin((heading[1:] + heading[:-1]) / 2) - 0.5 * distance_m * turned_rad)
 
 
 def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
@@ -153,9 +155,16 @@ def mirrored_ends(campaign: Campaign) -> Iterator[Note]:
 def track_against_bows(campaign: Campaign) -> Iterator[Note]:
     """Compare the bows of nearly straight runs by log and by reference."""
     runs, offset, turned, counted = _bows(campaign)
-    ratio, error = _slope(counted, offset - turned)
-    if not len(runs) or error > 0.1 or abs(ratio - 1.0) < max(_TRACK_TOLERANCE, _SIGMAS * error):
+    if not len(runs):
         return
+    # noise of what divides flattens a slope: the ratio lies between the one over the counts' and over the reference's
+    bowed = offset - turned
+    ratio, error = _slope(counted, bowed)
+    above = ratio > 1.0
+    far, error = (ratio, error) if above else _slope(bowed, counted)
+    if error > 0.1 * abs(far) or 0.0 <= far < 1.0 + max(_TRACK_TOLERANCE, _SIGMAS * error):
+        return
+    ratio, error = (far, error) if above else (1.0 / far, error / far**2)
     track = campaign.vehicle.track_m
     hint = f"is the track {track / ratio:.3g} m?" if 0.5 < ratio < 2.0 else "check track_m and the reference's frame"
     text = f"""{len(offset)} straight runs bow out {ratio:.3g} times as far as their counts say with a track of

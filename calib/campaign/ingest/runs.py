@@ -13,7 +13,7 @@ from calib.campaign import ingest, run_table
 from calib.campaign.ingest import moment_of
 from calib.campaign.ingest.mapping import TABLE_COLUMNS, LabMapping, LogSection, MappedColumn, bad_line, counts_per_unit
 from calib.campaign.model import Border, Campaign, RunTable
-from calib.campaign.readers import Layout, RawTable, read_table
+from calib.campaign.readers import READERS, Layout, RawTable, read_table
 from calib.campaign.readers.sheets import COUNT_UNITS
 from calib.campaign.readers.table import comma_evidence, is_filled, numbers, object_array
 from calib.campaign.settings import bracketed, converted, recognise
@@ -272,7 +272,16 @@ def match_logs(
         index, name = next(iter(missing.items()))
         raise unmatched(index, f"no source file named {name!r}, nor any of the other runs'")
     _note_unused({path for by_tag in matched.values() for path in by_tag.values()}, files, log, border)
-    return matched, missing
+    unread = _unread(files) if missing else {}
+    return matched, {index: name + unread.get(Path(name).stem, "") for index, name in missing.items()}
+
+
+def _unread(files: Sequence[Path]) -> dict[str, str]:
+    # what lies beside the logs in no format that is read, by stem
+    beside = [path for folder in {one.parent for one in files} if folder.is_dir() for path in folder.iterdir()]
+    read = ", ".join(READERS)
+    other = [path for path in beside if path.is_file() and path.suffix.lower() not in READERS]
+    return {path.stem: f" ({path.name} is not read; {read} are)" for path in other}
 
 
 def sheet_of(path: Path) -> tuple[Path, str | None]:

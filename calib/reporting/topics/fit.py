@@ -8,8 +8,7 @@ import numpy as np
 
 from calib import reporting
 from calib.campaign.checks import SIDES, WEIGHTY, listed
-from calib.radius.checks import FAIL_BELOW, NOTE_BELOW
-from calib.radius.regression import Check, WheelFit, t_quantile
+from calib.radius.regression import FAIL_BELOW, NOTE_BELOW, Check, WheelFit, t_quantile
 from calib.radius.result import Difference, Fit, ModelComparison
 from calib.reporting import Block, Notice, Picture, Section, Table, Text, caption, formatting, items, picture, table
 from calib.reporting.formatting import MISSING, aligned, fixed, measured, places, plural, prose, span, two_digits

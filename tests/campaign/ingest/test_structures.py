@@ -101,6 +101,18 @@ def test_logs_are_found_by_the_date_and_time_of_their_row(head: str, row: str, n
         assert np.ptp(made.logs.of(run)["counts_left"]) == pytest.approx(8000 * distance_m, abs=1)
 
 
+def test_a_log_in_a_format_that_is_not_read_is_named_with_those_that_are(tmp_path: Path) -> None:
+    """The third of five lies beside the others as JSON."""
+    (tmp_path / "logs").mkdir()
+    rows = ["Lauf;Strecke [m]", *(f"F{run};{DISTANCES_M[run]}" for run in range(5))]
+    for run in range(5):
+        (tmp_path / "logs" / f"F{run}.{'json' if run == 2 else 'csv'}").write_text(_text(_log(run)))
+    (tmp_path / "liste.csv").write_text("\n".join(rows) + "\n")
+    _, made = _proposed(tmp_path, tmp_path / "liste.csv", tmp_path / "logs")
+    (note,) = (note for note in made.notes if note.code == "no_log")
+    assert "(F2.json is not read; .csv, .tsv, .txt" in note.text
+
+
 def test_logs_counted_from_0_belong_to_runs_counted_from_1(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     rows = ["Lauf;Strecke [m]"]

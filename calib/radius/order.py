@@ -1,0 +1,82 @@
+"""Check of a wheel's fit against the order driven: runs that follow each other, and the first of a session."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from calib.campaign.checks import MAX_LOAD_R2, covariate_against_load, partial_slope
+from calib.radius import groups_of
+from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, OK, UM, Check, WheelFit, p_check, t_check
+from calib.types import FloatArray, StrArray, floats
+
+#: largest widening of a slope's interval by autocorrelation that passes: at a correlation of 0.8 and ascending loads it
+#: covers 84 to 89 % instead of 95 %
+MAX_SLOPE_WIDENING: Final = 1.25
+#: root mean square of a column beside others that is rounding
+ROUNDING: Final = 1e-9
+
+
+def first_of_sessions(session: StrArray) -> FloatArray:
+    """Return 1 for the first three runs of each session, or its first third, else 0, shape (n_runs,)."""
+    groups = groups_of(session)
+    number = np.cumsum(groups.index[:, None] == np.arange(len(groups)), axis=0)[np.arange(len(session)), groups.index]
+    return floats(number <= np.minimum(groups.sizes[groups.index] // 3, 3))
+
+
+def aliasing_with_load(fit: WheelFit, values: FloatArray, session: StrArray) -> tuple[float, float]:
+    """Return `covariate_against_load` within sessions where the slope comes from there, else over all runs."""
+    of = session if fit.design in {"crossed", "mixed"} else np.full(len(values), "")
+    return covariate_against_load(fit.load_N, values, of) if fit.model == "line" else (0.0, 0.0)
+
+
+def order_check(fit: WheelFit, session: StrArray) -> Check | None:
+    """Return the check of the residuals against the order driven; None with too few runs.
+
+    The first runs of sessions come before what lasts from run to run: cold wheels do both.
+    """
+    order, sloped = fit.autocorrelation, fit.design not in {"constant", "confounded"}
+    follow, first = "", first_of_sessions(session)
+    driven = {"rise or fall with the order driven": np.arange(float(len(session))), "of the first runs differ": first}
+    for words, values in driven.items():
+        if sloped and not follow and aliasing_with_load(fit, values, session)[0] ** 2 > MAX_LOAD_R2:
+            follow = (
+                f"Within the sessions the loads {words}: what drifts there (warming up, wear) looks like load, which "
+                "no interval holds; drive the loads in random order."
+            )
+    level = NOTE if follow else OK
+    of_first = _first_runs(fit, session, first, follow)
+    if order is None or order.p_value == 1.0:
+        return of_first if of_first.level != OK else Check("order", level, follow) if follow else None
+    fails = sloped and order.slope_ratio > MAX_SLOPE_WIDENING
+    alike = f"Runs that follow each other scatter alike (correlation about {order.rho:.2g})"
+    alike += (
+        f", and the loads follow the order driven: what lasts looks like load. The intervals are "
+        f"{order.slope_ratio:.2g} times as wide for it, which is known roughly only; drive the loads in random order."
+        if fails
+        else f". {follow}"
+        if follow
+        else ": the intervals allow for it; let the wheels warm up, and drive the loads in random order."
+    )
+    sentences = (follow or "Runs that follow each other scatter independently.", alike)
+    check = p_check("order", order.lag_one, "lag-one autocorrelation", order.p_value, sentences, fails=fails)
+    if of_first.level != OK and check.level != FAILED:
+        return of_first
+    return replace(check, level=level) if check.level == OK else check
+
+
+def _first_runs(fit: WheelFit, session: StrArray, first: FloatArray, follow: str) -> Check:
+    # a bend of the law is no warming up
+    beside = np.column_stack((fit.design_basis(session), (fit.load_N - fit.load_N.mean()) ** 2))
+    off, sd, dof = partial_slope(fit.residual_m, first, beside, ROUNDING)
+    moved, half = abs(off * aliasing_with_load(fit, first, session)[1]), float(fit.estimate.half_width((0.0, 1.0)))
+    beyond = fit.model == "line" and moved > half
+    slope = f" and the slope by {UM * moved:.2g} um/N{', more than its interval holds' * beyond}" if moved else ""
+    side = "below the others, as where wheels warm up" if off < 0.0 else "above the others"
+    finding = (
+        f"The first runs of the sessions (three at most) lie {UM * abs(off):.2g} um {side}; they move the radius by "
+        f"{UM * abs(off) * first.mean():.2g} um{slope}: drive the wheels warm first, then the loads in random order. "
+        f"{follow}"
+    ).strip()
+    check = t_check("order", off, sd if dof >= MIN_SLOPE_DOF else np.inf, dof, ("", finding))
+    return replace(check, level=FAILED) if beyond and check.level == NOTE else check
