@@ -23,7 +23,7 @@ from calib.radius.regression import (
     p_check,
     t_check,
 )
-from calib.types import FloatArray, StrArray, few_digits
+from calib.types import FloatArray, StrArray, few_digits, floats
 
 #: with more sessions none can carry the slope alone
 MAX_INFLUENCE_SESSIONS: Final = 100
@@ -83,7 +83,7 @@ def _f_test(line: FloatArray, more: FloatArray, y: FloatArray) -> tuple[float, s
 
 
 def _same_law(runs: _Residuals) -> Check | None:
-    fit, late = runs.fit, np.arange(len(runs.x)) >= len(runs.x) // 2
+    fit, late = runs.fit, floats(np.arange(len(runs.x)) >= len(runs.x) // 2)
     if fit.design == "confounded":
         return None
     line, y = fit.design_basis(runs.session), fit.residual_m * UM

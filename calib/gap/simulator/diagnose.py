@@ -211,14 +211,8 @@ def _candidates(
     gap, signed = _scaled_gap(nominal), [(e, form) for e in own if e.parameter.sign for form in e.forms(observations)]
     out = {e.id for e, form in signed if e.parameter.sign * (_scaled(nominal, [form])[:, 0] @ gap) < 0.0}.union(exclude)
     stands_for = Counter(each.effect for cause, each in differences.by_cause.items() if cause not in out)
-    every = [
-        effect
-        for effect in library(observations, exclude=exclude, declared=campaign.extra.get("effects", ()))
-        # one slope for both wheels does not do what one each does
-        if effect.id not in stands_for
-        or any(len(form.parameters) > stands_for[effect.id] for form in effect.forms(observations))
-    ]
-    rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
+    every = library(observations, exclude=exclude, declared=campaign.extra.get("effects", ()))
+    rivals = [HeldCalibration(e) if e.calibration else e for e in every if not _replaced(e, stands_for, observations)]
     noisy = differences.repeats > 1
     signs = _spanned([rival for rival in rivals if _is_setting(rival, observations, noisy)], own, nominal, noisy)
     spanned = [name for name, forms in signs.items() if all(len(theirs) == 2 for theirs in forms.values())]
@@ -241,6 +235,12 @@ def _candidates(
         zeros = {held[name]: 1.0 / _reach(held[name], nominal)[""] for name in rival.own_shifts if name in spanned}
         others.append(simulator.with_zero(rival, zeros, _reach(rival, nominal) if zeros else {}))
     return [*own, *(rival for rival in others if rival.id not in spanned)], tuple(notes)
+
+
+def _replaced(effect: Effect, stands_for: Counter[str], observations: Observations) -> bool:
+    # one slope for both wheels does not do what one each does
+    n = stands_for[effect.id]
+    return n > 0 and all(len(form.parameters) <= n for form in effect.forms(observations))
 
 
 def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
