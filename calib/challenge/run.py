@@ -106,7 +106,7 @@ def run(
 ) -> Ran:
     """Diagnose the first `limit` cases of a set that have no verdict yet; see `calib.challenge.make`.
 
-    A `diagnoser` of one's own runs in this process.
+    A `diagnoser` runs in this process.
     """
     cases = list(read_public(folder)["cases"].items())[:limit]
     waiting = [
