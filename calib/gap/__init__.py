@@ -16,13 +16,12 @@ from calib.types import FloatArray
 class Perturbation:
     """What one parameter of an effect does, per unit of the parameter, to first order."""
 
-    #: left, right: shape (n_obs,) or (n_steps,): relative change of what the left and right wheel really travel for
-    #: their counts
+    #: left, right: shape (n_obs,) or (n_steps,): relative change of the wheels' true travel for their counts
     left: FloatArray | None = None
     right: FloatArray | None = None
     track: FloatArray | None = None  #: shape (n_obs,) or (n_steps,): relative change of the track
-    #: heading_rad, along_m, lateral_m: shape (n_steps,): what the vehicle turns, and moves along and to its left, in
-    #: each step beyond what its wheels say
+    #: heading_rad, along_m, lateral_m: shape (n_steps,): what it turns, moves along and to its left in each step beyond
+    #: what its wheels say
     heading_rad: FloatArray | None = None
     along_m: FloatArray | None = None
     lateral_m: FloatArray | None = None
@@ -98,7 +97,7 @@ def total_perturbation(s: Observations, perturbations: list[Perturbation]) -> Pe
 def joined_perturbation(s: Observations, parts: Iterable[tuple[slice, Perturbation]]) -> Perturbation:
     """Join the perturbations of some observations each, or that of all; what one of them lacks is zero there.
 
-    One by one: all beside the whole would take twice the memory.
+    One by one, for half the memory.
     """
     n_steps, wholes = len(s.unit), list(Perturbation().parts())
     for units, part in parts:
@@ -125,7 +124,7 @@ X, Y, TURN, LINE, WAY = range(5)
 N_SUMS: Final = 5
 #: a pose read ahead of the counts lies on the motion of their last tenth of a second
 EXTRAPOLATED_S: Final = 0.1
-#: where not even one step in so many has a part, the others are passed over
+#: where fewer than one step in so many has a part, the others are passed over
 SPARSE_SHARE: Final = 4
 
 
@@ -145,12 +144,11 @@ class Steps:
         def wide(part: FloatArray) -> FloatArray:
             return part if len(part) == len(unit) else part[unit]
 
-        # most hypotheses leave most of this alone, and every product goes through all steps
+        # most hypotheses leave most of this alone
         left = s.travel_left_m if perturbation.left is None else s.travel_left_m * (1.0 + wide(perturbation.left))
         right = s.travel_right_m if perturbation.right is None else s.travel_right_m * (1.0 + wide(perturbation.right))
         track = s.model.track_m * (np.ones(1) if perturbation.track is None else 1.0 + wide(perturbation.track))
         ds, turn = 0.5 * (left + right), (right - left) / track
-        # of one counter whose radius is off all that it and the steering say is off as much
         off = (part for part in (perturbation.left, perturbation.right) if s.by_front and part is not None)
         grown = 1.0 + 0.5 * sum(wide(part) for part in off)
         if perturbation.along_m is not None:
@@ -259,7 +257,7 @@ class Steps:
                 continue
             takes_part = part != 0.0
             if np.count_nonzero(takes_part) * SPARSE_SHARE < len(part):
-                # a place on the floor, a stop: most steps have no part in it
+                # a place, a stop: most steps have no part in it
                 index = np.flatnonzero(takes_part)
                 weighted, unit = by_step.take(index, axis=1) * part[index], s.unit[index]
                 for number, values in zip(sums, weighted, strict=True):

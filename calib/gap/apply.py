@@ -117,7 +117,7 @@ def _covariance(
             by_fitted[row + 1, slopes[side][1]] = 1.0
     covariance = np.asarray(by_fitted @ fitted.covariance @ by_fitted.T)
     if believed is not None and not slopes:
-        # the runs show the radius at their mean load: that at the reference load follows the slope
+        # the runs show the radius at their mean load
         above_N, by_slope = np.nanmean(observations.loads_N, axis=1) - model.reference_load_N, np.zeros((len(JOINT), 2))
         for wheel in range(2):
             by_slope[2 * wheel : 2 * wheel + 2, wheel] = -above_N[wheel], 1.0
@@ -167,7 +167,7 @@ def _joint_parameters(diagnosis: Diagnosis, campaign: Campaign) -> tuple[str, di
     observations, unit = diagnosis.observations, np.eye(len(JOINT))
     model = observations.model
     if observations.by_front:
-        # one counter and the steering: a radius for both, and what is believed of the angle
+        # one counter: a radius for both, and what is believed of the angle
         source, name = ("shaft", "rear_radius_m") if observations.by_shaft else ("front", "front_radius_m")
         radius_m, *lengths = astuple(model.steered(observations.vehicle))
         steering = ["wheelbase_m", "steering_zero_rad", STEERING_SCALE, "understeer_s2_per_m2", "side_slip_s2_per_m"]

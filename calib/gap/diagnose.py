@@ -51,9 +51,9 @@ from calib.types import Progress, silent
 
 #: largest variance factor of the fit over the noise level: more is a cause not found
 MOST_VARIANCE_FACTOR: Final = 1.5
-#: estimates of the noise level, each without the causes named so far; it settles in one or two
+#: estimates of the noise level, each without causes named so far: one or two settle it
 NOISE_PASSES: Final = 3
-#: change of a typical noise level that calls for another search: below, the evidence changes by less than its scatter
+#: change of the noise level that calls for another search: of less the evidence changes within its scatter
 NOISE_CHANGE: Final = 1.25
 #: searches beside a reference mounted as found: turned, its place, and its delay
 MOUNTINGS: Final = 3
@@ -152,7 +152,7 @@ def _judged(
     progress(0, 0, "verdict")
     fitted = searched.fitted
     left_out = HeldOutFit(fitted, nominal, noise, searched.weighting)
-    # where no cause is missing, the residual is noise, and a better estimate of its level
+    # where no cause is missing, the residual is noise
     factor = (FLOOR_DOF + fitted.chi_square) / (FLOOR_DOF + int(observations.usable.sum()))
     held_out = measure_closure(
         left_out,
@@ -246,11 +246,11 @@ def _searched(
     searched = search(nominal, noise, base, effects, passed=passed)
     for _ in range(NOISE_PASSES):
         best = searched.fitted
-        # what a large effect leaves within conditions is no noise: estimate it without the effect, and search again
+        # what a large effect leaves within conditions is no noise
         again = estimate_noise(best.path, best.left) if best.forms else noise
         ratio, usable = noise.floor / again.floor, nominal.s.usable
         change = np.array([abs(np.log(np.median(ratio[use, k]))) for k, use in enumerate(usable.T) if use.any()])
-        # where the runs end far off under any effect, the verdict is a blunder at any noise level
+        # runs far off under any effect are a blunder at any noise level
         if (
             not (change > np.log(NOISE_CHANGE)).any()
             or np.mean(misfit(best.path, nominal, by_extent=True)) >= BLUNDER_MISFIT

@@ -156,7 +156,7 @@ def _calibration(path: Path) -> FloatArray:
     s = path.s
     ones = np.ones(len(s))
     if s.by_front:
-        # one wheel: it has a radius, which both that represent it share; wheelbase and zero are the steering's
+        # one wheel: both that represent it share a radius; wheelbase and zero are the steering's
         both = 0.5 * _along_path(path, Perturbation(left=ones, right=ones))
         return np.stack([both, both, np.zeros_like(both), np.zeros_like(both)], axis=2)
     by_front = np.zeros((len(s), N_CHANNELS))
@@ -170,7 +170,7 @@ def predict(s: Observations, perturbations: list[Perturbation] | None = None) ->
     perturbation = total_perturbation(s, perturbations or [])
     if len(s.spans) == 1:
         return _predicted(s, perturbation)
-    # of the counts alone: once for all paths, and known to each part
+    # of the counts alone: once for all paths
     _ = s.front_ways
     path = Path(s, perturbation, np.zeros((len(s), 3)), np.zeros((len(s), N_CHANNELS)), np.zeros(len(s)))
     kept = []

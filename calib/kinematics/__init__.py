@@ -112,7 +112,7 @@ class Recording:
         """Return the recording with whole turns added to end headings, and the few runs that were off.
 
         Headings all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_samples,)), or of a
-        reference followed along the path. One that was lost in a turn lacks them by itself: its run is not named.
+        reference followed along the path. The run of one lost in a turn is not named.
         """
         end_pose, (turn_rad, lost) = self.end_pose.copy(), self._turns_followed(turn_rad)
         heading = end_pose[:, 2]
@@ -188,7 +188,7 @@ class Recording:
 
 #: share of runs that can be off by whole turns; more are another convention
 FEW_OFF: Final = 0.25
-#: how near to a whole turn: nominal wheels tell a few turns to this part of one
+#: how near to a whole turn nominal wheels tell a few turns
 WHOLE_TURN: Final = 0.1
 #: total turn up to which the nominal vehicle, 5 % off, tells a missing turn from its own error
 MOST_TURNS_RAD: Final = 10.0 * np.pi
@@ -216,7 +216,6 @@ def recording_of(campaign: Campaign, source: str, *, planned: bool = False) -> R
         for row, run_id in enumerate(campaign.runs.run_id)
     ]
     if campaign.model.slope_left_m_per_N or campaign.model.slope_right_m_per_N:
-        # a law of the load believes none at its reference load that others are far from
         carried = [not isinstance(piece, str) and piece.loads is not None for piece in outcomes]
         if any(carried):
             why = "no wheel loads, though other runs have them; state them"

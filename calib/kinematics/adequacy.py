@@ -21,25 +21,24 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray, few_digits
 
 #: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
 LACK_OF_FIT: Final = 3.0
-#: a residual below this share of the distance travelled (of the rotation, for headings) is as small as wheel odometry
-#: gets (UMBmark's and our recordings: 0.1 to 0.5 %), even where replicates scatter less
+#: a residual below this share of distance or rotation is as small as wheel odometry gets (UMBmark's and our recordings:
+#: 0.1 to 0.5 %)
 SMALL_SHARE: Final = 0.005
 #: a result that leaves more of the error on held-out runs explains nothing
 USELESS_SHARE: Final = 0.9
-#: where sessions differ, one calibration for all is to take away three quarters of the mean square at least
+#: where sessions differ, one calibration for all takes off three quarters of the mean square
 WORTH_SHARE: Final = 0.5
 #: a residual above this share of the distance or rotation is no calibration
 WRONG_SHARE: Final = 0.05
 #: folds in which runs are held out: each fit still sees four fifths of them
 FOLDS: Final = 5
-#: of fewer runs one is held out where the others keep this part of what is told of every direction: twice the spread
+#: of fewer runs one is held out where the others keep this part of what is told: twice the spread
 LEAST_TOLD: Final = 0.25
-#: and of any number: what one fold alone tells, as a single taped length, is no prediction of the others
+#: and of any number: what one fold alone tells (a taped length) no other predicts
 CARRIED_ALONE: Final = 0.01
 #: from which replicates' scatter counts: known to about a third
 REPLICATE_DOF: Final = 4
-#: drift of a calibrated odometry: share of the way (UMBmark: 0.1 to 0.5 %), and heading as a share of the rotation and
-#: in rad per metre
+#: drift of a calibrated odometry (UMBmark: 0.1 to 0.5 %): share of way and rotation, and rad per metre
 USUAL_DRIFT: Final = 0.003
 #: chance of an outlier: one in a hundred campaigns
 OUTLIER_CHANCE: Final = 0.01
@@ -52,7 +51,7 @@ COPIED_SHARE: Final = 3e-6
 #: or, where its wheels were counted, within so many counts: each of two begins and ends within one
 COPIED_COUNTS: Final = 2.0
 FINE_M: Final = 2e-4
-#: heading residuals are not held against a smaller turn, mostly chance in the reference's heading
+#: least turn that heading residuals are held against: of less the reference's noise is most
 LEAST_ROTATION_RAD: Final = 1.0
 
 
@@ -117,7 +116,7 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     useless = residuals.held_out > USELESS_SHARE * residuals.before
     small = max(LACK_OF_FIT * residuals.expected, SMALL_SHARE * residuals.travelled)
     worst = max(residuals.after, residuals.held_out)
-    # a calibrated vehicle leaves nothing to explain: most of what is left is noise, or a small share of its way
+    # a calibrated vehicle leaves noise, or a small share of its way
     unexplained = useless and worst > max(math.sqrt(2.0) * residuals.noise, SMALL_SHARE * travelled)
     if min(residuals.noise, residuals.before) > unusual and unexplained:
         scatter = f"stretches of the same wheel motion scatter by {few_digits(1e3 * residuals.noise)} {unit}"
@@ -152,7 +151,7 @@ class Judgement:
     position: Residuals
     heading: Residuals
     why: tuple[str, ...]
-    #: blunders named: none recognised where the data stay unexplained once they are corrected
+    #: blunders named; none where the data stay unexplained once corrected
     faults: tuple[Fault, ...] = ()
 
     @property
@@ -172,9 +171,9 @@ def judged(
     campaign, fitted
         The first states the noise of the reference.
     whole
-        Whole runs, or the longest windows of long recordings: where the position errors are taken.
+        Whole runs, or the longest windows: where position errors are taken.
     faults, outliers
-        Blunders recognised; runs that noise cannot explain, which are named by themselves and take no part.
+        Blunders recognised; runs that noise cannot explain, which take no part.
     """
     used, seen = _used(whole, outliers) & ~bad_windows(fitted, whole), whole.segments.seen
     after = np.where(seen, whole.residuals(fitted.solution.values), 0.0)
@@ -193,7 +192,6 @@ def judged(
         at, left = used & seen[:, columns].any(axis=1), within[columns.start // 2]
         scatters = (_scatter(after[:, columns], group, at) for group in (in_session, alike, by_motion))
         *apart, over_all = (size if dof >= REPLICATE_DOF else 0.0 for size, dof in scatters)
-        # with what speed and load do it is no less than noise
         scatter = min(next(filter(None, apart), min(usual, by_windows)), over_all or np.inf)
         sizes = [rms(part[at, columns]) for part in (before, after, held_out)]
         # scatter over sessions that differ is no noise
@@ -299,7 +297,7 @@ def _held_out(fitted: Fitted, whole: Model, after: FloatArray) -> FloatArray:
         information, kept_information = (part.T @ part + solution.pull for part in jacobians)
         least = np.linalg.eigvals(np.linalg.lstsq(information, kept_information)[0]).real.min()
         if len(kept) and away.any() and least > (LEAST_TOLD if by_run and len(runs) < FOLDS else CARRIED_ALONE):
-            # by angles from their own zeros; held-out runs have the common one. The noise of four fifths is that of all
+            # by angles from their own zeros; held-out runs have the common one
             seen = Model(model.drive, model.recording, kept)
             fit = solve(seen, fitted.parameters, solution.values, solution.scales, noise_rounds=1)
             residuals[away] = logged.residuals(fit.values)[away]

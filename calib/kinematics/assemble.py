@@ -208,10 +208,7 @@ class Promise:
         return cls(geometry.estimates, geometry.undetermined, scales)
 
     def after(self, driven: "Promise", design: "Promise") -> "Promise":
-        """Return the promise from what the runs driven gave, `driven`, beside that of these alone, `design`.
-
-        Their part of the variance stays as found; the next add what the design says, or as much less as was found.
-        """
+        """Return the promise from what the runs driven gave, `driven`, beside that of these alone, `design`."""
         own, before = ({row.name: row for row in one.estimates} for one in (driven, design))
 
         def scaled(row: Estimate) -> Estimate:
@@ -260,8 +257,7 @@ FEWEST_SQUARES: Final = 2
 def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Return the mean side of each stretch that is a square, NaN of others, and whether it is counter-clockwise.
 
-    A square starts along a side, and its way points along four directions at right angles for nearly all its length;
-    third: for what share, 0 where the stretch does not turn round once.
+    Third: share of its way along four directions at right angles; 0 where it does not turn round once.
     """
     side, left = np.full(len(segments), np.nan), np.zeros(len(segments), dtype=np.bool_)
     share = np.zeros(len(segments))
@@ -322,7 +318,7 @@ def _ratios(centres: FloatArray, side_m: float, track_m: float) -> tuple[float, 
     return float((1.0 + half) / (1.0 - half)), float(0.5 * np.pi / (0.5 * np.pi + alpha))
 
 
-#: blocks for windows of a few long recordings, coarse to fine; many runs are blocks themselves
+#: blocks for windows of a few long recordings, coarse to fine
 BLOCKS: Final = (40, 160, 640)
 
 
@@ -370,7 +366,6 @@ def _trace(recording: Recording, run: int, paths: list[FloatArray]) -> RunTrace:
     seen = np.flatnonzero(np.isfinite(reference).any(axis=0)).astype(np.int64)
     before, after = paths = [path[:, part] for path in paths]
     if len(seen) > 1:
-        # the calibrated path stays in its start frame: the reference is aligned with it, the nominal path with that
         measured = _aligned(reference[:, seen], after[:, seen], np.arange(len(seen)))
         aligned = [_aligned(before, measured, seen), after]
     else:

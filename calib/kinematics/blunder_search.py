@@ -1,7 +1,7 @@
 """Search for blunders that explain a recording.
 
-A blunder (units, axes, columns, wraps) is named where its correction, parameters fitted again within plausible bounds,
-leaves a small part of the residuals over the distance travelled.
+A blunder (units, axes, columns, wraps) is named where its correction, parameters fitted again, leaves a small part of
+the residuals.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,7 @@ CLEARLY_LESS: Final = 0.5
 #: and less than this share of the distance travelled: what a calibrated vehicle may leave
 SMALL_SHARE: Final = 0.03
 #: a right reading's displacements are as long as the wheels', within this factor, and point their way, in rad: lengths
-#: and mounting angles stay within it
+#: and mountings stay within
 SAME_LENGTH: Final = 1.3
 SAME_WAY_RAD: Final = 0.3
 #: axes turned by less are a sensor's mounting, which is estimated
@@ -44,12 +44,11 @@ LEAST_ANGLE_RAD: Final = 0.02
 LEAST_OF_RUNS_RAD: Final = 0.003
 #: linearisations of a trial: a right reading is near its end after four, a wrong one never
 TRIAL_ROUNDS: Final = 6
-#: of these, those that estimate the noise: it only weighs position against heading, and costs most of a trial
+#: of these, those that estimate the noise, which costs most of a trial
 TRIAL_NOISE_ROUNDS: Final = 1
 #: and up to a step of less log likelihood
 TRIAL_STEADY: Final = 0.1
-#: a reading that leaves twice as much in a rough fit, or lengths twice as far off as plausible, is not tried: a wrong
-#: one leaves ten times as much
+#: a reading twice as far off in a rough fit is not tried: a wrong one leaves ten times as much
 SCREENED: Final = 2.0
 #: spread over all runs, these tell as well: a reading holds for every run
 SCREENED_RUNS: Final = 24
@@ -105,7 +104,6 @@ def find_blunder(
 
     as_it_stands, without = tried(unchanged), cache(partial(tried, screened=True))
     turned = as_it_stands if whole else tried(unchanged, sensor=MOUNTED, screened=True)
-    # impossible lengths explain nothing, and a sensor that is turned a little no reading
     enough = min([SMALL_SHARE, *(CLEARLY_LESS * trial.share for trial in (as_it_stands, turned) if trial.plausible)])
     best: list[tuple[Trial, Reading]] = []
     turned_rad = as_it_stands.turned_rad
@@ -133,7 +131,7 @@ def _model_of(
     campaign: Campaign, recording: Recording, drive: drives.Drive, divide: Divide, sensor: tuple[str, ...]
 ) -> tuple[Model, drives.Parameters]:
     model = Model(drive, recording, divide(campaign, recording))
-    # a lever arm would be a share of each window's short way; whole runs do not tell it from other readings
+    # whole runs do not tell a lever arm from other readings
     placed = () if model.segments.are_runs_of(recording) else sensor
     items = drives.parameters_of(drive, campaign.reference)
     return model, drives.Parameters.of(items, [*(item.name for item in drive.parameters), *placed])
@@ -186,12 +184,12 @@ def _tried(
 
 #: turns of less say little: added to the rotation that heading residuals are relative to
 LEAST_TURN_RAD: Final = 0.2
-#: solutions of each step, the next by weights from what the last one leaves
+#: solutions of each step, weighed by what the last one leaves
 REWEIGHTED: Final = 6
 
 
 def _rough_fit(model: Model, parameters: drives.Parameters, most: float) -> tuple[FloatArray, float]:
-    # turns first, nearly linear in all parameters; nominal values where a step leaves more than a share `most`
+    # turns first, nearly linear; nominal values where a step leaves more than a share `most`
     values, free, spread = parameters.nominal, parameters.free, parameters.prior_std[parameters.free]
     sizes = _sizes(model, values)
     for turns in (True, True, False):

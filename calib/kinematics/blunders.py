@@ -31,7 +31,7 @@ CLEAR: Final = 5.0
 #: no wheel is steered further
 LARGEST_STEERING_RAD: Final = 2.0
 LEAST_COSINE: Final = 0.2
-#: estimates of the angle read straight ahead, each with the way of a front wheel that the one before gives
+#: estimates of the angle read straight ahead, each by the one before
 STRAIGHT_ROUNDS: Final = 5
 #: an angle that moves less over a campaign is not that of a wheel that steers
 STILL_RAD: Final = 1e-3
@@ -40,7 +40,7 @@ OR_MIRRORED: Final = (
     "; or ref_y_m and ref_theta_rad are both mirrored (clockwise, y to the right, NED): then change their signs and "
     "exchange nothing. Drive a left turn: ref_theta_rad must grow, and the right wheel roll further"
 )
-#: without headings a mirror of the map is to its course the same as left for right, or backward for ahead
+#: without headings, also the same as backward for ahead
 OF_A_COURSE: Final = (
     "the course bends the other way than by the wheels: ref_x_m and ref_y_m are exchanged or one is mirrored, wheels "
     "are exchanged, or counters or the steering angle have the other sign: drive a left turn, and correct the wrong one"
@@ -49,7 +49,7 @@ OF_A_COURSE: Final = (
 TWIST: Final = "omega_radps"
 #: displacements within 60 degrees of the wheels' way, or of its opposite, tell its sense
 ALONG: Final = 0.5
-#: where turns are not told, a displacement below this part of the way, of a loop that nearly closes, tells nothing
+#: where turns are not told, a displacement below this part of the way (a loop) tells nothing
 FAR: Final = 0.1
 Between = Callable[[FloatArray], FloatArray]
 
@@ -69,8 +69,7 @@ Corrected = tuple["Recording", tuple[Fault, ...]]
 def rear_faults(recording: "Recording", segments: "Segments") -> Corrected:
     """Return the recording of two wheels with signs and sides corrected, and the fault.
 
-    The heading turns with the right wheel and against the left one. Where the regression says otherwise beyond doubt,
-    columns are swapped or a counter runs backwards.
+    The heading turns with the right wheel and against the left one, by regression.
     """
     twist, good = TWIST in recording.speeds, segments.seen[:, 2]
     slopes = _regression(segments.between(recording.steps.turned_rad)[:, good], segments.measured[good, 2])
@@ -96,7 +95,7 @@ def sense(segments: "Segments", turn_rad: FloatArray, rolled: FloatArray, far: f
     """Return how far displacements point where the wheels rolled, from -1 (backwards) to 1.
 
     `segments`: whose displacement was measured; `turn_rad`, `rolled` (shape (n_steps,)): turn in each step by the
-    measured headings, and the wheels' own way, of which a displacement is the part `far` at least.
+    measured headings, and the wheels' own way; a displacement is the part `far` of it at least.
     """
     heading = np.cumsum(turn_rad)
     steps = rolled * np.exp(1j * (heading - 0.5 * turn_rad))
@@ -232,7 +231,7 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
     square = float(told_rad @ told_rad)
     if not len(told_rad) or square < len(told_rad) * TURNS_RAD**2:
         return
-    # of either sign: counters may run backwards, all of them: one alone makes turns that follow no factor
+    # of either sign: all counters may run backwards
     slope = float(told_rad @ measured_rad) / square
     ratio, left_rad = abs(slope), measured_rad - slope * told_rad
     if float(left_rad @ left_rad) > CLEARLY_LESS * float(measured_rad @ measured_rad):
@@ -292,7 +291,6 @@ def still_counters(recording: "Recording", told_rad: FloatArray) -> Iterator[Fau
             part = slice(first, last + 1)
             rolled = np.cumsum(np.abs(recording.steps.turned_rad[:, part]), axis=1)
             heading, t_s = recording.reference[2, part], recording.t_s[part]
-            # the longest stretch without a count, by what the other wheel rolls in it
             moved = np.concatenate([[0], np.flatnonzero(recording.steps.turned_rad[side, part]), [last - first]])
             longest = int(np.argmax(np.diff(rolled[1 - side, moved])))
             begin, end = int(moved[longest]), int(moved[longest + 1])
@@ -346,7 +344,7 @@ def wheels_faults(recording: "Recording", segments: "Segments", drive: "Drive") 
     least = min(left for (left, _), *_ in scored)
     if least > CLEARLY_LESS * as_it_stands:
         return recording, ()
-    # two readings can differ by half a turn of the sensor alone: the one that turns it less is likelier
+    # of readings that differ by half a turn of the sensor, the one that turns it less is likelier
     _, changed, fault = min((one for one in scored if one[0][0] <= ALIKE * least + 1e-9), key=lambda one: one[0][1])
     return changed, (fault,)
 

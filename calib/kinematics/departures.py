@@ -1,7 +1,6 @@
 """Search for departures: changes of the recording of unknown size, fitted beside the vehicle's parameters.
 
-One is named where its size is beyond noise, by the scatter between groups of segments, and of whole runs, where it
-explains more of the residual than is left.
+One is named where its size is beyond noise and it explains more of the residual than is left.
 """
 
 from collections.abc import Callable, Iterator
@@ -20,7 +19,7 @@ from calib.kinematics.model import Model, Segments, measured_between
 from calib.kinematics.uncertainty import whitened
 from calib.types import FloatArray
 
-#: standard deviations by which a size must stand out: a few departures are tried, with the scatter of few groups
+#: standard deviations by which a size must stand out: several are tried, of few groups
 CLEAR: Final = 6.0
 #: of slip: sound runs have up to 2.2
 CLEAR_SLIP: Final = 4.5
@@ -28,14 +27,14 @@ CLEAR_SLIP: Final = 4.5
 CLEAR_AXIS: Final = 12.0
 #: share of the weighted squares, noise included, that a departure must explain
 EXPLAINED: Final = 0.5
-#: that one must explain to be followed where the fit is refused: it is named only if the fit corrected for it is not
+#: and to be followed where the fit is refused: it is named only if the corrected fit is not
 LEAD: Final = 0.1
 PLAYS_RAD: Final = (0.01, 0.04)
 #: of a steering angle: from half the least on, which is no step of a log any more
 SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
 #: scale of a tracking system's axis, from which it is tried
 AXIS_SCALE: Final = 0.01
-#: resultant of the doubled start headings, above which runs begin along one axis, in either sense
+#: resultant of the doubled start headings, above which runs begin along one axis
 ALONG_ONE: Final = 0.9
 #: scale of the reference's heading beside its positions
 HEADING_SCALE: Final = 0.005
@@ -101,12 +100,10 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     jacobian, residuals = whitened(solution, fitted.parameters.free)
     shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed)
     shift *= np.sqrt(solution.weights)[:, None]
-    # each by its own scatter: together they know best what is not linear in a large size
     back = np.linalg.inv(solution.whitener)
     back /= np.sqrt(np.square(back).sum(axis=2))[:, :, None]
     flat = (back @ jacobian).reshape(-1, jacobian.shape[2])
     both = (back @ np.stack([shift, residuals], axis=2)).reshape(-1, 2)
-    # without what the vehicle's parameters explain
     column, unexplained = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
     information, runs = float(column @ column), model.segments.run
     group = np.repeat(runs if len(np.unique(runs)) >= FEWEST_GROUPS else model.segments.block, 3)
@@ -122,7 +119,7 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
 
 #: runs from which on they are the groups, not blocks of them; readings beside the parameters
 FEWEST_GROUPS: Final = 8
-#: a size below this part of the one tried is another one's, or of the wrong sign
+#: a size below this part of the one tried is another's, or of the wrong sign
 LEAST_SIZE: Final = 0.5
 #: so many times the one tried, a third of an axis or seconds of steering, no linear step reaches
 LARGEST_SIZE: Final = 30.0
@@ -151,7 +148,7 @@ def _departures(model: Model, *, timed: bool, misfit: bool) -> Iterator[Departur
     else:
         yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
         yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)
-    # where all begin at one heading, an axis of the reference is one of the vehicle, which may slide along it
+    # where all begin at one heading, an axis of the reference is one of the vehicle
     if whole and not abs(np.mean(np.exp(2j * model.recording.reference[2, model.segments.first]))) < ALONG_ONE:
         return
     for sign in (1.0, -1.0):

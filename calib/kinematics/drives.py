@@ -40,8 +40,8 @@ class Parameter:
     #: for example ``track_m``
     name: str
     nominal: float
-    #: standard deviation of the true value about the nominal one: it scales the parameter, and data that do not do
-    #: clearly better leave it undetermined
+    #: standard deviation of the true value about the nominal one; data that do not do clearly better leave it
+    #: undetermined
     prior_std: float
 
 
@@ -63,7 +63,7 @@ class Parameters:
     items: tuple[Parameter, ...]
     #: estimated; the others stay nominal, shape (n_parameters,)
     free: BoolArray
-    #: the nominal values count as measurements: runs that leave some parameter open need them
+    #: nominal values count as measurements, for runs that leave a parameter open
     pulled: bool = False
 
     @staticmethod
@@ -198,7 +198,6 @@ class Differential:
         turn = (right - left) / track
 
         def derivative() -> FloatArray:
-            # distance and turn by the travel of the left and of the right wheel
             by_travel = np.array([[[0.5], [0.0], [-1.0 / track]], [[0.5], [0.0], [1.0 / track]]])
             by = np.zeros((len(values), 3, len(turn)))
             by[:2] = by_travel * phi[:, None]
@@ -274,7 +273,7 @@ class Mecanum:
 UNDERSTEER: Final = "understeer_s2_per_m2"
 #: the rear axle moves at the angle -side_slip v^2 curvature to its heading
 SIDE_SLIP: Final = "side_slip_s2_per_m"
-#: rubber on a smooth floor gives way by some hundredths of a radian at 1 m/s^2: 0.01 s^2/m; spreads allow for several
+#: rubber on a smooth floor gives way by some hundredths of a radian at 1 m/s^2: 0.01 s^2/m
 UNDERSTEER_STD: Final = 0.05
 SIDE_SLIP_STD: Final = 0.02
 #: turns below this lateral acceleration slip by a few milliradians: nothing to estimate

@@ -25,10 +25,10 @@ from calib.types import FloatArray, Progress, silent, stepped
 
 Using = Literal["end_poses", "windows"]
 
-#: a finer division is taken where its intervals are at most this much wider: a bad measurement spoils less, and a
-#: standard deviation from some dozens of blocks is known to 15 %
+#: a finer division is taken where its intervals are at most this much wider: a bad measurement spoils less, and dozens
+#: of blocks tell a deviation to 15 %
 AS_GOOD: Final = 1.25
-#: heading errors beyond this bend the path between two poses by more than a linear model of them allows
+#: heading errors beyond this bend the path by more than a linear model allows
 BENT_RAD: Final = 0.1
 #: blunders of which ends need show nothing
 MIRRORED: Final = {"x_mirrored", "y_mirrored", "axes_exchanged"}
@@ -62,7 +62,6 @@ def estimate_geometry(
     recording = recording_of(campaign, source)
     recording.refuse_constant_heading(nominal_motion(drive_of(campaign, source, recording), recording.steps)[2])
 
-    # end poses that their own fit does not explain need it again
     by_windows = cache(lambda: _fitted(_Task(campaign, source, "windows", True, progress), recording))
 
     def estimated(way: Using) -> Geometry:
@@ -86,7 +85,7 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
     except RefusedError:
         return estimated("end_poses")
     with suppress(RefusedError):
-        # closed loops end alike in a mirror, and by exchanged wheels; clocks do not matter to them
+        # closed loops end alike in a mirror, and by exchanged wheels
         codes = {fault.code for fault in by_windows.faults}
         trusted = by_windows.passed or MIRRORED & codes or (codes - OF_CLOCKS and not by_windows.misfit)
         return by_windows if trusted else _told_by(by_windows, estimated("end_poses"))
@@ -177,7 +176,7 @@ def _fitted(task: _Task, recording: Recording, known: tuple[Fault, ...] = ()) ->
         if many and not (bends or set(chosen.undetermined) - set(SENSOR)):
             break
         task.progress(number, 0, "fits")
-        # from the coarser one's end: short windows do not find a delay of many steps
+        # short windows do not find a delay of many steps
         other = task.fit(drive, recording, segments, None if many and not turned else chosen)
         fewer = len(other.undetermined) < len(chosen.undetermined)
         if not (bends or (fewer if many else other.spread <= chosen.spread + np.log(AS_GOOD))):
@@ -191,7 +190,6 @@ def _fitted(task: _Task, recording: Recording, known: tuple[Fault, ...] = ()) ->
             losses = joint_fit.delay_losses(common)
         chosen, delays = _with_own_delays(task, common, losses)
         if delays and not many and common.model.segments is not coarse:
-            # delays that differ were left in what the divisions were compared by
             other = task.fit(drive, chosen.model.recording, coarse, chosen)
             chosen = other if chosen.spread > other.spread + np.log(AS_GOOD) else chosen
     chosen = _with_own_zeros(task, chosen)
@@ -232,7 +230,6 @@ def _without_departure(fit: _Fit) -> Geometry:
         step = still[1] if still else departures.score(other.fitted, departure)[1]
         corrected, most = other.geometry, min(abs(size), departures.LARGEST_SIZE * abs(departure.step))
         settled = abs(step) < SIZE_FOUND * abs(size) <= SIZE_FOUND * most
-        # near its size, and something else is left all the same; delays that it leaves are what it hid behind
         if (settled and still is None) or (corrected.misfit and geometry.misfit and abs(step) < 0.5 * abs(size)):
             break
         size += step
@@ -241,7 +238,6 @@ def _without_departure(fit: _Fit) -> Geometry:
     if not (settled and (explained or moved)) or (corrected.misfit and geometry.misfit):
         return geometry
     if hidden:
-        # without a delay of each recording it has to leave less, on the same windows
         changed = departure.change(recording, size)
         model = replace(other.fitted.model, recording=changed, segments=fit.fitted.model.segments)
         more_left = _mean_off_m(model, other.fitted) > _mean_off_m(fit.fitted.model, fit.fitted)
@@ -279,7 +275,7 @@ def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
     if correction is None:
         return None
     campaign, corrected, blunder = correction
-    # of skid steering: no blunder, the fit needed a wide track to begin with
+    # of skid steering: no blunder
     wide = campaign.vehicle.drive == "skid" and blunder.code == "half_track"
     try:
         fit = _fitted(replace(task, campaign=campaign), corrected, () if wide else (blunder,))
@@ -296,7 +292,7 @@ def _with_sensor(task: _Task, recording: Recording, fit: _Fit, by_windows: Calla
     except (RefusedError, np.linalg.LinAlgError):
         return None
     bent = other.task.way != task.way and fit.geometry.residual_rms.theta_rad > BENT_RAD
-    # a fault named there is why end poses are not explained: a wrong angle takes whole turns with it
+    # a fault named there is why end poses are not explained
     named = fit.geometry.misfit and other.geometry.faults and not other.geometry.misfit
     return other if other.geometry.passed or bent or named else None
 

@@ -23,8 +23,8 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
-#: a radius further from nominal, relative, is one of wrong counts or units: a factor of two halves it; a tenth less for
-#: the tyre
+#: a radius further from nominal, relative, is one of wrong counts or units: a factor of two halves it, less for the
+#: tyre
 GROSS: Final = 0.45
 #: radii over nominal that no unit or count makes: kilometres make a thousandth
 NOTHING: Final = 5e-4
@@ -62,7 +62,7 @@ def left_open(uncertainty: Uncertainty, parameters: Parameters) -> tuple[str, ..
     return tuple(rows)
 
 
-#: degrees of freedom, as good as any number; probability below one standard deviation above the mean
+#: degrees of freedom, as good as any; probability below one standard deviation above the mean
 MANY: Final = 1e6
 ONE_SD: Final = 0.8413447460685429
 #: a delay is sought where samples are at most so far apart
@@ -142,14 +142,14 @@ def fit_parameters(
     items, model = drives.parameters_of(drive, campaign.reference), Model(drive, recording, segments)
     radii = [at for at, name in enumerate(free) if "radius" in name]
     alone = np.array([item.nominal for item in items])
-    # nominal values pull only where data leave something open: what these determine is theirs alone
+    # nominal values pull only where data leave something open
     attempts = [Parameters.of(items, free), replace(Parameters.of(items, free), pulled=True)]
     for parameters in attempts:
         values, far = parameters.nominal, None
         if start is not None and start.parameters.pulled == parameters.pulled:
             values = np.where(parameters.free, start.solution.values, values)
         elif parameters.pulled and np.any(np.abs(alone[radii] / values[radii] - 1.0) > GROSS):
-            # counts or units are wrong: nominal lengths are no place to begin from
+            # wrong counts or units: nominal lengths are no start
             far = alone
         if known is None:
             solution = solve(model, parameters, values, drives.first_scales(campaign.reference))
@@ -207,7 +207,7 @@ class Delay:
 def at_best_delay(fitted: Fitted, losses: FloatArray) -> Fitted | None:
     """Return a start at the common delay that leaves clearly less, by `delay_losses`; None where the fit's does.
 
-    Runs that begin on the move have delays between which the prediction jumps: the gradient stays where it began.
+    Where runs begin on the move the prediction jumps: the gradient stays where it began.
     """
     total = losses.sum(axis=1)
     if not total.size or total.min() > total[TRIED // 2] - CLEARLY_LIKELIER:
@@ -220,8 +220,7 @@ def at_best_delay(fitted: Fitted, losses: FloatArray) -> Fitted | None:
 def delay_losses(fitted: Fitted) -> FloatArray:
     """Return each recording's negative log likelihood at delays about the common one, shape (TRIED, n_groups).
 
-    The robust fit takes a recording with another delay for an outlier: the gradient does not find its delay. Empty
-    where the delay is not estimated.
+    To the robust fit a recording with another delay is an outlier. Empty where the delay is not estimated.
     """
     model, solution, group = fitted.model, fitted.solution, fitted.model.recording.group
     if not fitted.parameters.free[-1] or SENSOR[-1] in fitted.undetermined:
@@ -274,7 +273,7 @@ def parted(fitted: Fitted, used: BoolArray) -> tuple[str, list[str]]:
 def own_delays(fitted: Fitted) -> tuple[tuple[Delay, ...], FloatArray]:
     """Return the delay of each recording in the order driven, and what each run adds to the common one, (n_runs,).
 
-    None of either where one delay fits all. The recording, in windows, knows what each run was taken to add so far.
+    None of either where one delay fits all.
     """
     recording, common = fitted.model.recording, float(fitted.solution.values[-1])
     if (shifts := _shifts_of(fitted, "delay_s")) is None:
@@ -303,7 +302,6 @@ def _shifts_of(fitted: Fitted, name: str) -> tuple[IntArray, FloatArray, FloatAr
     if n_blocks.min() < FEWEST_BLOCKS or not (size > 0.0).all():
         return None
     shift = total / size
-    # about its own value: the score of a common shift in each block is no noise
     about = score - shift[of_block] * information
     return group, shift, np.sqrt(np.bincount(of_block, np.square(about))) / size
 
@@ -324,7 +322,7 @@ def _disagree(shift: FloatArray, std: FloatArray) -> bool:
     return bool(chdtrc(len(shift) - 1.0, float(np.sum(weight * np.square(shift - mean)))) < CHANCE)
 
 
-#: rounds of parameters, deviations and their spread; the spread of eight recordings is settled to 0.1 % after five
+#: rounds; the spread of eight recordings is settled to 0.1 % after five
 ROUNDS: Final = 8
 #: of these, with the noise estimated again
 NOISE_ROUNDS: Final = 4
@@ -381,7 +379,7 @@ def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArra
     deviation = spread * (pull + size * shared.amount) / (1.0 + size)
     values = solution.values.copy()
     values[free] += step
-    # common zero and scale of the angle are told by the differences of recordings: each takes a degree of freedom
+    # common zero and scale take a degree of freedom each
     n_common = len({STEERING_ZERO, STEERING_SCALE} & set(fitted.parameters.free_names))
     known = float(np.sum(np.square(deviation)) / max(n_groups - n_common, 1))
     return values, deviation, float(np.sqrt(known + spread**2 * np.mean(1.0 / (1.0 + size))))

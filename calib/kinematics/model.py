@@ -26,7 +26,7 @@ HALF_CHORD: Final = 0.5 * LEVELS[-1]
 SHORT_CHORD: Final = 0.5
 #: displacements of a sensor, (n, 3), and derivatives by vehicle and sensor, (n, 3, n_parameters)
 Sensed = tuple[FloatArray, FloatArray, FloatArray]
-#: a late reference of a vehicle that starts with its counts moves by less of its speed
+#: a late reference of a vehicle that starts moves by less of its speed
 ON_THE_MOVE: Final = 0.75
 #: runs are replicates where path and displacement differ by less than this share of the path, and turns by so much
 REPLICATE_SHARE: Final = 0.05
@@ -231,7 +231,7 @@ class Model:
 def _at_times(
     path: Path, recording: Recording, segments: Segments, delay_s: float, *, by_drive: bool
 ) -> tuple[FloatArray, FloatArray, list[IntArray]]:
-    # what the reference stamps t was true at t - delay; before a run's first count the vehicle moved as after it, where
+    # what the reference stamps t was true at t - delay; before the first count the vehicle moved as after it, where
     ends = [segments.first, segments.last, *(() if segments.around is None else segments.around.T)]
     used, inverse = np.unique(ends, return_inverse=True)
     places = list(inverse.reshape(len(ends), -1))
@@ -240,8 +240,7 @@ def _at_times(
     t_s = recording.t_s
     delay = delay_s + recording.delay_added_s[run] + recording.clock_rate * t_s[used]
     wanted = np.clip(t_s[used] - delay, t_s[low], t_s[high])
-    # samples are few steps away: a global search on time within runs takes shifted clocks. One that steps back
-    # stands still there, or the search fails in all other runs
+    # a time that steps back stands still there, or the search fails in all other runs
     shift = np.concatenate(([0.0], np.cumsum(np.maximum.reduceat(t_s, recording.offsets[:-1]) + 1.0)))[:-1]
     clock = np.maximum.accumulate(t_s + shift[recording.run])
     at = np.clip(np.searchsorted(clock, wanted + shift[run], side="right") - 1, low, np.maximum(high - 1, low))
@@ -262,11 +261,10 @@ def _at_times(
 
 
 def _between(t_s: FloatArray, wanted_s: FloatArray) -> FloatArray:
-    # weights of a cubic between the inner two samples: a chord would cut curves and lag behind a vehicle that speeds up
+    # weights of a cubic between the inner two samples: a chord would cut curves
     before, span, after = np.diff(t_s, axis=0)
     span = np.where(span > 0.0, span, np.inf)
     share = (wanted_s - t_s[1]) / span
-    # a step of no length, at the end of a run, leaves the velocity of the step itself
     begin, end = share * (1.0 - share) ** 2 / (1.0 + before / span), share**2 * (share - 1.0) / (1.0 + after / span)
     step = share - begin * before / span - end * after / span
     return np.stack([-begin, 1.0 + begin - step, step - end, end])

@@ -57,7 +57,7 @@ class Path:
         cosine, sine = self.middle
         along_x, along_y = forward * cosine - left * sine, forward * sine + left * cosine
         ratio, bend = _chord_over_arc(0.5 * turn), 0.5 * _bend_of_chord(0.5 * turn)
-        # a turn bends its own chord by half and shortens it, and takes all later ones along: by parts, from the end
+        # by parts, from the end: a turn takes all later chords along
         half_ratio = 0.5 * ratio
         by_turn_x, by_turn_y = bend * along_x - half_ratio * along_y + y, bend * along_y + half_ratio * along_x - x
         cosine, sine = ratio * cosine, ratio * sine

@@ -54,7 +54,7 @@ class Reading:
 
     blunder: Fault
     change: Change
-    #: the same with the column in question zero: a reading that is no better takes the column's words away, no more
+    #: the same with the column in question zero: no better, a reading takes the column's words away
     zeroed: Change | None = None
     #: the same for a factor of which a fit tells the rest: of the radii, or of the steering angle
     refined: "Callable[[tuple[float, float]], Reading] | None" = None
@@ -147,7 +147,6 @@ def _rolled(change: OfArray) -> Change:
 
 def _yaw_rates(recording: Recording) -> Iterator[Reading]:
     for unit, radians in ANGLE_UNITS.items() if TWIST in recording.speeds else ():
-        # the mean of both wheels stays, their difference is in other units
         mix = 0.5 * np.array([[1.0 + radians, 1.0 - radians], [1.0 - radians, 1.0 + radians]])
         text = f"{TWIST}: found {unit}/s where rad/s are expected; convert, or state the unit in the mapping"
         yield Reading(Fault("omega_unit", text), _rolled(partial(np.matmul, mix)))
@@ -160,7 +159,6 @@ def _quaternions(recording: Recording, drive: Drive) -> Iterator[Reading]:
 
     def headings(recording: Recording) -> Recording:
         heading = since_start(nominal_motion(drive, recording.steps)[2], recording.offsets)
-        # in a map a run starts at a heading of its own, of which z leaves two
         reference, first = recording.reference.copy(), recording.reference[2, recording.offsets[:-1]]
         starts = np.nan_to_num([2.0 * np.arcsin(first), 2.0 * (np.pi - np.arcsin(first))])
         of_start = [_of_quaternion(reference[2], heading + np.repeat(at, np.diff(recording.offsets))) for at in starts]
@@ -328,9 +326,9 @@ RADIUS_FACTORS: Final = {
 RADII: Final = ("radius_left_m", "radius_right_m", "front_radius_m", "rear_radius_m", "wheel_radius_m")
 #: a radius off by more is no radius, no matter what made it
 FARTHEST: Final = 5.0
-#: a length further off is a wrong setting, unit or count; rubber, wear and load stay within it
+#: a length further off is a wrong setting; rubber, wear and load stay within it
 PLAUSIBLE_CHANGE: Final = 0.15
-#: a track may be an effective one, of two tyres that scrub or of a wide tread
+#: a track may be an effective one, of a wide tread
 PLAUSIBLE_TRACK_CHANGE: Final = 0.3
 #: what a track too wide for two wheels may be
 SKID_HINT: Final = ' (an effective track? of wheels that skid in turns state drive = "skid")'

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-#: of the weights, by which they leave the squares of normal noise in none to three channels their mean
+#: of the weights in none to three channels: normal noise keeps its mean square
 NORMAL_GAIN: Final = np.array([1.0, 1.2382, 1.1846, 1.1469])
 #: steps: what the data tell well settles in half of them
 ROUNDS: Final = 100
@@ -326,13 +326,12 @@ def noise_sizes(fitted: Fitted, stated: FloatArray) -> list[dict[str, float]]:
         scales = np.maximum(scales * np.clip(quotient, 0.05, 20.0) ** POWER, LEAST * stated)
 
     scores = np.stack([np.bincount(block, row) for row in 0.5 * (parts - traces)])
-    # a weight that falls with the residual tells less of its size
     kept = (weights * squares * DEGREES / (DEGREES + squares)).sum() / size.sum()
     by_stated = np.diag(0.5 * readings / scales)
     bread = np.linalg.pinv(0.5 * kept * np.einsum("knij,lnji->kl", pulled, pulled) + by_stated, hermitian=True)
     variance_std = np.sqrt(np.diag(bread @ (scores @ scores.T + by_stated) @ bread))
     dof = max(len(np.unique(block)) - int(fitted.parameters.free.sum()), FEWEST_DOF)
-    # with what shares its channel, uncertain by sqrt(2 / dof), an inverse chi squared: its mean is dof / (dof - 4) of
+    # uncertain by sqrt(2 / dof), an inverse chi squared: its mean is dof / (dof - 4) of
     expected = scales + variance_std * np.sqrt(8.0 * dof) / (dof - 4.0)
     return [dict(zip(COMPONENTS, row, strict=True)) for row in np.sqrt([scales, expected]).tolist()]
 

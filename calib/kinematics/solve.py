@@ -17,7 +17,7 @@ from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray, IntArray
 COMPONENTS: Final = ("reference_xy", "reference_theta", "heading_walk", "along_walk")
 #: how far below its stated size a component may fall
 LEAST: Final = 1e-4
-#: readings of the reference at its stated size that stand beside the data: of few runs a walk may fit all by chance
+#: readings at the stated size beside the data: of few runs a walk may fit all by chance
 STATED_READINGS: Final = np.array([1.0, 1.0, 0.0, 0.0])
 #: exponent of the step: 0.5 never lowers the likelihood but converges slowly
 POWER: Final = 0.9
@@ -53,7 +53,7 @@ def _walks(path: Path, body: FloatArray, segments: Segments) -> FloatArray:
     first, last, between = segments.first, segments.last, segments.between
     zero = between(weight)
     dx, dy = x[last] - x[first], y[last] - y[first]
-    # moments about the start of each stretch, in two steps so that nothing large cancels
+    # moments about the start of each stretch, in two steps: nothing large cancels
     mx, my = between(weight * x), between(weight * y)
     one_x, one_y = mx - zero * x[first], my - zero * y[first]
     two_xx = between(weight * x * x) - 2 * x[first] * mx + zero * x[first] ** 2
@@ -75,8 +75,8 @@ def _walks(path: Path, body: FloatArray, segments: Segments) -> FloatArray:
     return np.stack([walk, along])
 
 
-#: entries of a lower triangle, row by row; symmetric matrices of many stretches are kept as these six, shape (6, n):
-#: such small products cost more in calls
+#: entries of a lower triangle, row by row, of symmetric matrices kept as shape (6, n): small products cost more in
+#: calls
 _ROWS: Final = np.array([0, 1, 1, 2, 2, 2])
 _COLUMNS: Final = np.array([0, 0, 1, 0, 1, 2])
 #: how often an entry stands in the whole matrix
@@ -89,14 +89,13 @@ DEGREES: Final = 5.0
 ROUNDS: Final = 15
 NOISE_ROUNDS: Final = 4
 INNER: Final = 40
-#: stretches from which the noise is estimated; more cost time and tell nothing new about four numbers
+#: stretches from which the noise is estimated; more tell nothing new of four numbers
 NOISE_STRETCHES: Final = 500
 #: a step below this part of a standard deviation ends the search; one below it squared ends the steps within
 CLOSE: Final = 1e-3
-#: a change within a step below this part of it ends the steps within: the next linearisation corrects far more
+#: a change within a step below this part of it ends the steps within: the next linearisation corrects more
 INEXACT: Final = 1e-2
-#: a step of the noise's variances that gains less log likelihood is the last: what adds nothing may go on falling for
-#: ever
+#: a step of the noise's variances that gains less log likelihood is the last: some fall for ever
 STEADY: Final = 1e-3
 #: pull to the nominal values, in parts of the information there is; only for solvability
 RIDGE: Final = 1e-10
@@ -177,7 +176,7 @@ def solve(
             kernel = _kernel(model, prediction, values)
             whitener = _whiteners(kernel, scales, seen)
         share = float(_weights(_whitened(whitener, prediction.residuals.T), size)[0].mean())
-        # normal at first: another valley of the data may lie in a robust one's tail
+        # normal at first: another minimum may lie in a robust one's tail
         nominal = partial(_nominal, parameters, share=share, dof=DEGREES if number >= noise_rounds else 1e9)
         off, pulls, _ = nominal(values)
         pull = np.sqrt(pulls)[:, None] * parameters.pull, np.sqrt(pulls) * off
@@ -196,7 +195,6 @@ def solve(
         # a delay's derivative is the speed over some samples, and its root no minimum: shorter steps find nothing
         least_part = INEXACT / max(sigmas, INEXACT) / part
         advanced = _advance(model, (values, prediction), part * step, least_part, whitener, nominal)
-        # the noise at this place first: by it there may be a step
         if advanced is None and number >= noise_rounds - 1:
             break
         values, prediction = advanced or (values, prediction)
@@ -216,8 +214,8 @@ def planned(model: Model, parameters: Parameters, values: FloatArray, scales: Fl
 def _nominal(
     parameters: Parameters, values: FloatArray, share: float = 1.0, dof: float = DEGREES
 ) -> tuple[FloatArray, FloatArray, float]:
-    # by how many spreads they are off in the rows that pull, weights and loss. The mean radius, the last row, may be
-    # far off: robust with `dof`, and at first of no more weight than residuals have: `share`
+    # spreads off in the rows that pull, weights and loss. The mean radius, the last row, may be far off: robust with
+    # `dof`, at first no heavier than residuals: `share`
     off = parameters.pull @ ((parameters.nominal - values) / parameters.prior_std)[parameters.free]
     weights, losses = np.ones(len(off)), 0.5 * np.square(off)
     weights[-1:] = share * (dof + 1.0) / (dof + 2.0 * losses[-1:])

@@ -60,7 +60,7 @@ def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
 
 #: cosines for n blocks: this times n^(2/3), so that of many blocks only the slower part counts
 COSINES: Final = 3.3
-#: how much steeper than level a spectrum may be: by the slope at zero over the square of the frequency
+#: how much steeper than level a spectrum may be: slope at zero over the square of the frequency
 STEEPNESS: Final = np.concatenate([-np.logspace(2.0, -1.0, 13), [0.0], np.logspace(-1.0, 2.0, 13)])
 
 
@@ -71,8 +71,7 @@ def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[float, float, FloatArray]:
-    # for each steepness the level has a scaled inverse chi squared distribution, weighted by the likelihood; their
-    # mixture is met by that of the same mean and variance of the logarithm
+    # the mixture over steepness is met by an inverse chi squared of the same mean and variance of the logarithm
     from scipy.special import digamma, polygamma
 
     raised = 1.0 + np.abs(STEEPNESS)[:, None] * squares
@@ -102,7 +101,7 @@ def covariance_along(pulls: FloatArray, information: FloatArray, directions: Flo
     std, dof, flat = np.empty(len(directions)), np.empty(len(directions)), np.empty_like(amplitudes)
     for at, direction in enumerate(directions):
         seen = information @ direction
-        # what independent blocks of this information would leave in each cosine after the fit has taken its part
+        # what independent blocks would leave in each cosine after the fit
         taken = waves @ seen
         left = (waves * (seen @ direction)) @ waves.T - taken @ taken.T
         share = np.maximum(len(pulls) * np.diag(left) / max(float(direction @ seen.sum(axis=0)), 1e-300), 1e-6)
@@ -112,14 +111,14 @@ def covariance_along(pulls: FloatArray, information: FloatArray, directions: Flo
         flat[:, at] = amplitudes[:, at] / np.sqrt(shape * share)
     products = flat.T @ flat
     size = np.sqrt(np.maximum(np.diag(products), 1e-300))
-    # correlations by no more cosines than parameters would leave some sum of them without any spread
+    # fewer cosines would leave some sum without any spread
     correlation = (number * products / np.outer(size, size) + np.eye(len(size))) / (number + 1.0)
     return correlation * np.outer(std, std), Freedom(np.eye(len(std)), std, dof)
 
 
 #: power that is unbiased for known weights (CR2); 1 is the jackknife (CR3)
 UNBIASED: Final = 0.5
-#: for single runs, from which the noise's sizes are estimated too; the coverage lies between the two
+#: for single runs: the coverage lies between the two
 OF_RUNS: Final = 0.75
 
 
@@ -247,7 +246,6 @@ def sandwich(
     cluster = np.unique(cluster, return_inverse=True)[1]
     pulls, sizes, shares = [], [], []
     wanted = np.eye(len(root)) if directions is None else np.concatenate([np.eye(len(root)), directions])
-    # columns: what a unit of each parameter, and of each sum, is in the new columns
     turned = root.T @ (wanted * scale).T
     for rows in _rows_of(cluster):
         part, residual = flat[rows], residuals[rows]

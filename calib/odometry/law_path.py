@@ -316,7 +316,7 @@ def law_journey(
     wheels = (law.left, law.right)
     mean, reference = ([float(w.radius_m(n)) for w, n in zip(wheels, at, strict=True)] for at in (loads_N, reference_N))
     root, of_scale, scale, dof, off = _scatter(law, loads_N, single=band == "prediction", draws=draws, rng=rng)
-    # few degrees of freedom draw lengths that no wheel has, beyond the quantiles reported
+    # few degrees of freedom draw lengths beyond the quantiles reported
     drawn_m = np.clip(np.array([*mean, track_m])[:, None] + off, routes.SHORTEST_M, routes.LONGEST_M)
     scattered = Axle(*drawn_m)
     end = route.poses()[-1]

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 #: as the simulator believes; with the law's radii, unladen; at the load of each run, or step (Fig. 7)
 METHODS = ("model", "constant", "corrected")
 
-#: ends so many standard deviations off are no chance, not even of what all runs share: fewest runs, and least share
+#: ends so many standard deviations off are no chance: fewest runs, and least share
 FAR_SD, FAR_RUNS, FAR_SHARE = 3.0, 3, 0.1
 #: of the bootstrap over runs
 RESAMPLES: Final = 2000
@@ -62,7 +62,7 @@ class Replay(Result):
     ratio_ci95: tuple[float, float]
     runtime: "RuntimeCheck"  #: the vehicle's own code on the same logs
     left_out: dict[str, int]  #: runs that could not be compared, by reason
-    #: whether other than rear wheels drive the odometry: ``constant`` is ``corrected``, the runtime not fed
+    #: whether other wheels drive the odometry: ``constant`` is ``corrected``, the runtime not fed
     by_geometry: bool = False
     notes: tuple[str, ...] = ()
 

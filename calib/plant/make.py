@@ -210,7 +210,7 @@ class FleetTruth:
     radius_spread_m: float = 6e-5
     slope_mean_m_per_N: float = -1.2e-6
     slope_spread_m_per_N: float = 6e-8
-    #: vehicles off in a radius or slope, with a drifting radius, and of hall B, where the right radius seems larger
+    #: vehicles off in a radius or slope, drifting, and of hall B, where the right radius seems larger
     outliers: tuple[str, ...]
     drifting: tuple[str, ...]
     common: tuple[str, ...]

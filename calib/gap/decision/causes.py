@@ -30,7 +30,7 @@ from calib.gap.observations import Channel
 from calib.types import FloatArray, few_digits
 
 #: a cause below this signal and this share of a larger one's, whose form may err by so much of its size (`FORM_ERROR`),
-#: may be that error; radii and track have no form that errs
+#: may be that error; radii and track have none
 WEAK_SIGNAL: Final = 10.0
 MOST_PLACES: Final = 3
 MOST_COVARIATES: Final = 2
@@ -96,9 +96,8 @@ def negligible(causes: Sequence[Cause], certain: Mapping[str, float]) -> tuple[s
     def too_small(cause: Cause) -> bool:
         likeliest = max(cause.probability, certain.get(cause.effect, 0.0))
         is_certain = cause.probability > EVEN_PROBABILITY and likeliest >= CERTAIN_PROBABILITY
-        # an error of the largest cause's law looks like a small cause
         doubtful = cause.share <= SMALL_SHARE * largest and not is_certain
-        # what radii or track may be instead has a small signal beside them, and may have all of the gap
+        # what radii or track may be instead has a small signal beside them
         weak = cause.share <= SMALL_SHARE and cause.signal < min(WEAK_SIGNAL, FORM_ERROR * strongest)
         return cause.share < NEGLIGIBLE_SHARE * largest or doubtful or weak
 
@@ -196,7 +195,6 @@ def blunder_cause(fault: Blunder | Mounting) -> Cause:
         form=fault.label,
         probability=fault.probability,
         share=1.0,
-        # of a place or delay as known as any size; of a blunder in the data beyond all noise
         signal=float(np.linalg.norm(fault.size / fault.sd)) if isinstance(fault, Restated) else float("inf"),
         parameters={name: Quantity(*size) for name, size in fault.sizes.items()},
         remark=fault.remark,
@@ -226,10 +224,7 @@ def left_held_out(evidence: Evidence) -> Unexplained | None:
 def places_as_unexplained(
     evidence: Evidence, causes: Sequence[Cause], unexplained: Unexplained | None
 ) -> tuple[list[Cause], Unexplained | None]:
-    """Return places that other causes outweigh, and the unexplained residual with these.
-
-    A form sought at every place follows what larger causes leave, or an effect outside the library.
-    """
+    """Return places that other causes outweigh, and the unexplained residual with these."""
     total = sum(cause.share for cause in causes)
     placed = [cause for cause in causes if evidence.effects[cause.effect].by_place and cause.share <= 0.5 * total]
     if not placed:
@@ -244,7 +239,7 @@ def places_as_unexplained(
 def limited_beside(causes: Sequence[Cause], *left: Unexplained | None) -> list[Cause]:
     """Return the causes; those of a weaker signal than an unexplained residual at even odds at most.
 
-    What left so much may have left them, too; where it is beyond noise, all but the strongest may share it.
+    Where that is beyond noise, all but the strongest may share it.
     """
     limited = [*causes]
     for unexplained in left:

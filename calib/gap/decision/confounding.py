@@ -61,7 +61,7 @@ def groups_of(evidence: Evidence) -> list[list[str]]:
 def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Distances]:
     """Return the effects `within` so many standard deviations of each named one; of radii and track together first.
 
-    Where they are confounded together, each for itself is not asked for.
+    Confounded together, each for itself is not asked for.
     """
     fitted, system, off = evidence.fitted, evidence.system, evidence.calibration
     distances = [_of_effect(evidence, number, within) for number in range(len(fitted.forms))]
@@ -83,7 +83,7 @@ def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Dist
             distances.append((SCALED, alike))
             off = tuple(name for name in off if name not in SCALED)
     if len(off) > 1:
-        # one cause may look like two parameters off (counts lost on one wheel)
+        # counts lost on one wheel look like two parameters off
         together = near(off, [], forms)
         if min(together.values(), default=np.inf) < SEPARATION_SD:
             return [*distances, (off, together)]
@@ -278,7 +278,7 @@ def effect_probabilities(evidence: Evidence, groups: Sequence[Sequence[str]]) ->
         shares = shared.get(name, {})
         listed[name] = probability * (1.0 - sum(shares.values()))
         for alias, share in shares.items():
-            # support of the parameter is its alias', beside what the search found
+            # support of the parameter is its alias'
             listed[alias] = max(listed.get(alias, 0.0), probability * share)
     listed |= {fault.effect.id: fault.probability for fault in evidence.situation.faults}
     listed["unknown"] = evidence.search.rest

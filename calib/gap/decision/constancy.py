@@ -87,7 +87,7 @@ def session_scatter(evidence: Evidence) -> SessionScatter | None:
     variance, dof = variance_component(estimates[p:], covariance[p:, p:])
     if not variance:
         return None
-    # of steps that were not known at all, their number; a variance near zero is small, not unknown
+    # of unknown steps their number; a variance near zero is small, not unknown
     dof = max(dof, len(labels) - 1.0)
     without = fit.weighting.solve(fit.columns, fit.precision)[1]
     return SessionScatter(without, solved(1.0 / variance)[1][:p, :p], dof)
@@ -149,7 +149,7 @@ def _is_predicted(evidence: Evidence, effect: str) -> bool:
 def beside_named_steps(causes: Sequence[Cause], later: Sequence[str]) -> Iterator[Cause]:
     """Yield causes; radii beside session steps with an interval that holds their scatter.
 
-    They are means of the sessions driven, no promise for others. `later`: names of all but the first.
+    They are means of the sessions driven. `later`: names of all but the first.
     """
     half_steps = half_of_steps(causes, later)
     for cause in causes:
@@ -216,8 +216,8 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
 
     A cause's contribution is given a further factor on each group, beside recalibration and fitted effects (a test of
     parameter constancy: Chow, Econometrica 28, 1960). The covariance holds the lack of fit and deviations from the
-    form. The statistic follows F; levels are divided by the number of tests. None is what an effect that may act
-    beside accounts for, so that a test of its own, the only one, no longer shows a difference.
+    form. The statistic follows F; levels are divided by the number of tests. None is what an effect beside accounts
+    for, by a test of its own, the only one.
     """
     names = {name for name in effects if not evidence.effects[name].per_session}
     groups = groupings(evidence.observations, by_balance=True)
@@ -229,7 +229,7 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
             return found
         if not (evidence.observations.windowed and evidence.search.weighting.name):
             return found
-        # recordings scatter beyond noise: what follows the order driven is no scatter
+        # what follows the order driven is no scatter
         return replace(found, p_value=_chance_of_drift(evidence, contributions[effect], beside))
 
     pairs = ((effect, by) for effect in contributions for by in groups)
@@ -312,7 +312,7 @@ def _chance_of_drift(evidence: Evidence, contribution: FloatArray, beside: Float
 def unchecked(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, str]:
     """Return the causes whose sizes no reading checks, and why.
 
-    What one does on other runs is to be known to what these show of it: two standard deviations of a size are less.
+    What one does on other runs is to be known to what these show of it.
     """
     hints: dict[str, str] = {}
     for cause in causes:

@@ -60,7 +60,7 @@ OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 
 #: what to write where places mean nothing
 FRAME: Final = 'write reference.frame = "start" where each begins anywhere'
-#: remarks on the data before a verdict: more push it off the screen
+#: remarks before a verdict: more push it off the screen
 MOST_SAID: Final = 3
 
 
@@ -77,7 +77,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     causes = naming.limited_to_even(causes, {group[0] for group in groups if parting(group)}.union(differing))
     small = _small(evidence, causes, probable, certain)
     causes = [cause for cause in causes if cause.effect in probable.difference(small)]
-    # probable by an alias and hardly in the 95 % set: not the cause to name
+    # probable by an alias, hardly in the 95 % set
     likely = [cause for cause in causes if cause.probability > 1.0 - CONFIDENCE]
     placed, unexplained = naming.places_as_unexplained(evidence, likely, unexplained)
     doubted, causes = len(likely) < len(causes), [cause for cause in likely if cause not in placed]
@@ -274,7 +274,6 @@ def _form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]
     least = confounding.refitted(evidence, fitted.forms, ())[0] + window
     families = {name: effect.family for name, effect in evidence.effects.items()}
     for cause in causes:
-        # an error of a form shows less than the form
         larger = [other for other in causes if other.share > cause.share and other.signal > cause.signal]
         offered = [(form, other) for other in larger for form in evidence.search.forms.get(other.effect, ())]
         second = [

@@ -62,7 +62,7 @@ def fix_of(evidence: Evidence, finding: Finding, confounded: Sequence[Sequence[s
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, alternatives(evidence, finding)),
         *unsized(evidence, finding),
-        # noise that looks like a cause looks like its improvement, too
+        # noise like a cause is like its improvement, too
         *([] if gap >= CERTAIN_PROBABILITY else [f"the probability that there is a gap at all is {gap:.2f}; {REPEAT}"]),
         # what is shown beyond too high a level holds at any lower one
         *([] if noise_bounded(evidence) else [f"the noise level rests on {evidence.noise.support}; {REPEAT}"]),
@@ -265,7 +265,6 @@ def harm(trials: Sequence[Trial]) -> Iterator[str]:
     """Yield where a correction harms beyond noise when held out."""
     for trial in harmed(trials):
         sizes = ""
-        # the end may come nearer where heading or distance get worse
         if trial.before_rms_m is not None and trial.after_rms_m is not None and trial.after_rms_m > trial.before_rms_m:
             sizes = f" from {few_digits(1e3 * trial.before_rms_m)} to {few_digits(1e3 * trial.after_rms_m)} mm"
         yield (
@@ -315,14 +314,14 @@ def _either(group: Sequence[str]) -> str:
 def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequence[Sequence[str]]) -> Iterator[str]:
     """Yield where corrections of confounded effects differ.
 
-    What drifted alike here need not in sessions to come, nor need speeds go with directions.
+    What drifted alike here need not in sessions to come.
     """
     for parted in filter(None, map(parting, tied if on == DRIVEN else ())):
         yield (
             f"these runs cannot tell {_either(parted)}: what they follow went together, and where it does not their "
             f"corrections part; {PLAN}"
         )
-    # a scale grows with the way: what agrees here does not on longer runs
+    # a scale grows with the way: on longer runs they differ
     by_tape = any(tuple(group[:3]) == confounding.SCALED for group in tied)
     noise_m = closure.floor_rms_m or 0.0
     if apart_m is None or (apart_m <= noise_m and not by_tape):

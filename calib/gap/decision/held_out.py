@@ -56,8 +56,7 @@ class Closure:
     before_rms_m: float | None = None  #: gap of the model alone
     after_rms_m: float | None = None
     floor_rms_m: float | None = None
-    #: removed share of error variance above the noise level, runs and channels weighed by noise; None for a gap
-    #: below half of it
+    #: closed share over all channels, weighed by noise; None for a gap below half of it
     fraction: float | None = None
     ci95: tuple[float, float] | None = None  #: by bootstrap over conditions
     held_out: str = "condition"  #: in turn: ``session``, ``condition``, ``run``; `RERUN`
@@ -131,7 +130,7 @@ def folds(observations: Observations, *, sessions: bool = True) -> tuple[IntArra
     if sessions and len(labels) >= FEWEST_SESSIONS:
         return np.asarray(session % MOST_SESSION_FOLDS), "session"
     if sessions:
-        # in the order driven: neighbours in time together, as in sessions
+        # neighbours in time together, as in sessions
         return number * MOST_FOLDS // len(observations), "run"
     names, condition = np.unique(observations.condition, return_inverse=True)
     if len(names) >= FEWEST_CONDITIONS:
@@ -186,7 +185,7 @@ def left_with_others(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArra
     held = np.ones(len(fold), dtype=np.bool_)
     for number in np.unique(fold) if by == "run" else ():
         if not left_out.is_predictive(fold == number):
-            # what a run shows alone (one corridor beside closed loops: the radii) no other predicts
+            # what one run shows alone no other predicts
             runs = np.flatnonzero(fold == number)
             held[[run for run in runs if not left_out.is_predictive(np.arange(len(fold)) == run)]] = False
     held |= 2 * held.sum() < len(held)
@@ -231,7 +230,7 @@ def closure_of(
     """Return how far the gap shrinks from residuals `before` to `after`.
 
     `stated`: the gap to state in place of `before`; `by`: what was held out in turn.
-    The other parameters are those of `measure_closure`.
+    For others see `measure_closure`.
     """
     observations, stated = nominal.s, before if stated is None else stated
     usable = observations.usable

@@ -37,8 +37,7 @@ from calib.types import few_digits
 if TYPE_CHECKING:
     from calib.kinematics.result import Geometry
 
-#: share of the largest cause's that is a hundredth of its size: no law is known closer, and what it leaves looks like a
-#: cause
+#: share of the largest cause's that is a hundredth of its size: no law is known closer
 NEGLIGIBLE_SHARE: Final = 1e-4
 #: verdicts that name no cause
 NO_GAP_SHOWN: Final = frozenset({VerdictKind.NO_GAP, VerdictKind.UNDECIDED})
@@ -139,7 +138,7 @@ def kept_back(diagnosis: Diagnosis, nominal: Path, noise: Noise) -> Diagnosis:
     gaps = [residuals(path, nominal) for path in (nominal, corrected)]
     before, after = ((np.where(seen.usable, gap / noise.floor, 0.0) ** 2).sum(axis=1) for gap in gaps)
     grown, n = after - before, len(seen)
-    # one chance in twenty; a delay, which shows in windows alone, does nothing at ends
+    # one chance in twenty; a delay does nothing at ends
     chance = float(stdtrit(max(n - 1, 1), CONFIDENCE)) * float(np.std(grown)) / sqrt(n)
     if grown.mean() <= max(chance, NEGLIGIBLE_GROWTH * float(seen.usable.sum(axis=1).mean())):
         return diagnosis
@@ -213,7 +212,7 @@ def with_left(diagnosis: Diagnosis) -> Diagnosis:
     if not left:
         return diagnosis
     where = tuple(words for _, words in left)
-    # of the whole gap: a condition with a small one may keep all of it
+    # of the whole gap: a small one may stay
     share, square = 1.0 - (closure.fraction or 0.0), max(left)[0]
     on = "run again with the fix" if closure.held_out == RERUN else "on held-out runs"
     note = f"left {on}: {'; '.join(where)}; repeats in another session tell noise from a further cause"

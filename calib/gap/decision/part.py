@@ -43,17 +43,17 @@ def sure_part(evidence: Evidence, finding: Finding, whole: Fix) -> Fix:
     families = {evidence.effects[cause.effect].family for cause in causes if cause.effect in evidence.effects}
     steps = {name for name in dropped if name in evidence.named and evidence.effects[name].per_session}
     if Family.SIMULATOR in families and dropped.keys() - steps:
-        # a simulator's parameters are set together, and judged by running it again
+        # a simulator's parameters are set together
         return whole
-    # a recalibration is part of every fit: what of it is rather at work than not cannot be taken off
+    # a recalibration that is rather at work than not cannot be taken off
     likely = {cause.effect for cause in causes if finding.probability(cause) >= EVEN_PROBABILITY}
     if not (names or evidence.situation.faults) or any(name in NAMES and name in likely for name in dropped):
         return whole
-    # what dropped causes explain is left by design: the closure is that of all
+    # the closure is that of all: what dropped causes explain is left by design
     if causes and (_is_whole(evidence, names) or any(True for _ in rule.remaining(whole.held_out, unexplained))):
         return whole
     sure = replace(finding, causes=kept, tied=[group for group in finding.tied if names.intersection(group)])
-    # a radius, or what looks like one, is the mean of the sessions: held out with their steps they say if it helps
+    # a radius is the mean of the sessions: held out with their steps they say if it helps
     alike = names.union(*sure.tied)
     beside = {name for name in steps if alike.isdisjoint(evidence.effects[name].shifts)}
     apart_m = confounding.agreement_m(evidence, sure.tied)
@@ -114,7 +114,6 @@ def as_delivered(evidence: Evidence, finding: Finding, fix: Fix) -> Fix:
     left_out, improvement, transfer, _ = _on_held_out(evidence, names, ())
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
-    # what would move by nothing beyond noise takes no part of the gap
     acts = bool(unnamed) or not _others_at_zero(evidence, names)
     reason = f"the rest is what {beside} would take"
     left = (
@@ -139,7 +138,7 @@ def _resized(evidence: Evidence, fitted: Fitted) -> Iterator[str]:
     for form, theta, _ in fitted.each():
         columns = evidence.system.columns(form) / form.typical
         off, size = (float(np.linalg.norm(columns @ part)) for part in (theta - whole[form.effect], theta))
-        # by what half of a gap's squares closes: less of what it moves would be right
+        # by what half of a gap's squares closes
         if off > np.sqrt(1.0 - HALF_CLOSURE) * size:
             yield f"{100 * off / size:.0f} % of what it does by {form.effect} would be theirs, not its own; {rule.PLAN}"
 
@@ -239,7 +238,7 @@ def is_named_beside(cause: Cause, fix: Fix, finding: Finding) -> bool:
 def _parted(finding: Finding) -> tuple[list[Cause], dict[str, str], bool]:
     causes = finding.causes
     dropped = {cause.effect: text for cause in causes for text in rule.doubts(cause, finding)}
-    # a session's own step says nothing of the next, and takes nothing from what holds in all
+    # a session's own step says nothing of the next
     kinds = [kind for kind in (effect_class(cause.effect) for cause in causes) if kind.per_session]
     dropped |= {kind.id: f"{kind.id}: {kind.not_transferable}" for kind in kinds}
     for cause, other in finding.parts():

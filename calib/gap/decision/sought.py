@@ -68,7 +68,6 @@ class Sought:
         """Return what was driven, blunders of the reference's mounting and of the encoders corrected."""
         observations, notes = self._observed(campaign, self.applied)
         nominal = predict(observations)
-        # effects that the model has stand where an outside simulator's poses would
         bare = predict(self._observed(campaign, ())[0]) if self.applied else nominal
         if turned := None if ReferenceYaw.id in self.exclude else find_turned(bare):
             return self._corrected(campaign, (turned,), measured_gap(nominal, nominal))
@@ -188,7 +187,7 @@ class Sought:
             return Situation(campaign, observations, notes, faults)
         right = corrected(observations, fault)
         if fault.swapped and not faults:
-            # the same to any data but for the place of the sensor, and radii or loads of left and right that differ
+            # the same but for the sensor's place, and radii or loads that differ
             mirror = TurnedReference(0.0, 0.0, mirrored=True, clockwise=True)
             turned = mirror.correct(campaign)
             seen, mirror_notes = self._observed(turned, self.applied)
@@ -291,8 +290,8 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
     """Return the few recordings, by id, each its share off, that are off by themselves.
 
     Outliers of a joint estimate that fits all others, else the one that is three times as far off as any other once
-    these are recalibrated: no cause that acts in all takes it off so far. Not the first or last one driven that goes on
-    where the others tend to, as tyres warm up.
+    these are recalibrated: no cause that acts in all does that. Not the first or last one driven that goes on where the
+    others tend to, as tyres warm up.
     """
     from calib.kinematics.estimate import estimate_geometry
 

@@ -108,8 +108,8 @@ class Form:
     zero_within: tuple[float, float] = (-inf, inf)
     #: settings -> `perturbations` with these, for a form whose settings come from the runs
     at: Callable[[Mapping[str, float]], Perturbations] | None = None
-    #: whether `perturbations` takes everything per step from its path, which may be that of some observations
-    #: (`Observations.here`); else arrays per step are held for a whole campaign
+    #: whether `perturbations` takes everything per step from its path, which may be that of some observations; else
+    #: arrays per step are held for all
     by_parts: bool = False
     #: effects without one of which it does nothing, by id; empty where it acts by itself
     acts_through: tuple[str, ...] = ()

@@ -123,7 +123,7 @@ class LostCounts(Effect):
                 v_0 = stated.get("speed_mps")
                 if v_0 is None:
                     return lambda path: [acting_on(path, side, ones)]
-                # step by step: slow reversing and spins turn a counter, too
+                # slow reversing and spins turn a counter, too
                 return lambda path: [Perturbation(**{side: np.maximum(_wheel_mps(path.s, side) - v_0, 0.0)})]
 
             label, tries = f"{side} wheel, {label}", 2 * len(shapes)
@@ -159,8 +159,8 @@ _REVERSED: Final = "the steering angle has the other sign"
 BLUNDER_MISFIT: Final = 0.08
 #: and a correction is believed where it leaves less than this share of that
 BLUNDER_RESIDUAL_SHARE: Final = 0.2
-#: a run that ends off by more than this share of its length, so many times what all but so few do, has counts or a
-#: reference not its own
+#: a run off by more than this share of its length, so many times what all but so few are, has counts or a reference not
+#: its own
 BAD_RUN_MISFIT: Final = 0.2
 BAD_RUN_RATIO: Final = 3.0
 MOST_BAD_RUNS: Final = 0.25
@@ -267,8 +267,8 @@ def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by
     """Return how far each observation is off, as a share of its length and of its turns, 1 at most, shape (n_obs,).
 
     The length is the way driven, or from start to end where that is more; turns of less than a radian count as one.
-    With simulated motion of its own, the change from the `nominal` path counts. `by_kind`: way and turns of the middle
-    run of its kind; `by_extent`: of a run that ends away from its start, that distance, and a radian.
+    With simulated motion, the change from the `nominal` path counts. `by_kind`: way and turns of the middle run of its
+    kind; `by_extent`: of a run that ends away from its start, that distance, and a radian.
     """
     observations = path.s
     about = path if nominal is None or not np.isfinite(observations.simulated).any() else nominal

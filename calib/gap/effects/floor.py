@@ -47,7 +47,7 @@ def far_end_m(observations: Observations) -> FloatArray:
 
 def lanes(observations: Observations) -> IntArray:
     """Return the lane of each observation: 0, or a number for each ending of the kind of route (``_b``, ``_2``)."""
-    # the empty name sorts first: without one in any kind, the first ending is 1 all the same
+    # the empty name sorts first: without one, the first ending is 1 all the same
     _, number = np.unique(np.append(lane_names(observations.labels["kind"]), ""), return_inverse=True)
     return np.asarray(number[:-1], dtype=np.int64)
 
@@ -244,7 +244,7 @@ class RearDrag(Effect):
         """Return a form for each wheel and sense; none where everything rolls and goes one way."""
         backward = observations.total(np.where(observations.path_m < 0.0, -observations.path_m, 0.0))
         rolls_back, applied = bool((backward > LEAST_BACKWARD_M).any()), observations.applied
-        # of each sense, the observations that have it; None where they have both, and steps tell
+        # of each sense, the observations that have it; None: steps tell
         senses: dict[str, tuple[BoolArray | None, bool]] = {}
         if rolls_back or applied:
             one_way = bool(((backward < 1e-3) | (backward > observations.length_m - 1e-3)).all())

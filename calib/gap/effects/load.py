@@ -37,7 +37,7 @@ def _model_slopes(observations: Observations) -> FloatArray:
 
 
 def _slopes_m_per_N(path: Path, own: FloatArray) -> FloatArray:
-    # the model's, else the hypothesis' own; without either a payload does nothing
+    # the model's, else the hypothesis' own
     slopes = _model_slopes(path.s)
     if slopes.any() or path.perturbation.law_slopes is None:
         return slopes
@@ -284,7 +284,7 @@ class PayloadPosition(_OfPayload):
             law = path.perturbation.law_slopes
             slopes = _slopes_m_per_N(path, np.zeros(2) if law is None else law[0])
             if not has_slopes or observations.by_shaft:
-                # a slope of its own for each wheel would follow what the place is to explain
+                # slopes of their own would follow what the place is to explain
                 slopes = np.full(2, slopes.mean())
             return slopes[0] * weight_N / lever_m, slopes[1] * weight_N / lever_m
 

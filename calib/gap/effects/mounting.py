@@ -19,7 +19,7 @@ MIN_TURN_RAD: Final = 0.1
 MAX_STRETCH: Final = 0.2
 #: a turn and a place are unknown: with fewer runs they explain anything
 MIN_TURNED_RUNS: Final = 4
-#: what the angle leaves is less than this share of what it explains, and what bends the heading less than this of it
+#: shares of what the angle explains: of what it leaves, and of what bends the heading, at most
 TURN_RESIDUAL_SHARE: Final = 0.2
 #: of an end's heading where none is measured: radii unequal by a hundredth, over ten tracks
 HEADING_ERROR_RAD: Final = 0.1
@@ -107,7 +107,7 @@ def find_turned(nominal: Path) -> TurnedReference | None:
     seen = observations.measured[on, Channel.ALONG] + 1j * observations.measured[on, Channel.LATERAL]
     turned = np.exp(1j * (nominal.end[on, 2] + heading[on])) - 1.0
     turn, left_m2 = _turn(end, turned, seen)
-    # on a map, displacements were turned by start headings that are right
+    # on a map, start headings are right
     mirrored_seen = seen.conj() * np.exp(-2j * np.nan_to_num(observations.start_pose[on, 2]))
     mirror, mirrored_left_m2 = _turn(end, turned, mirrored_seen)
     # wrong radii leave as much in both, but for the direction of an end

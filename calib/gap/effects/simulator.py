@@ -21,7 +21,7 @@ _STEPS: Final = 3
 _ROUNDING: Final = 1e-6
 #: a further step is taken where it promises, linear, to leave no more than this share
 _PROMISED_SHARE: Final = 0.2
-#: wheels are followed in proportion to a quantity, or alike in a run, where the first step promises to leave no more
+#: wheels are followed in proportion to a quantity, or alike in a run, where that promises to leave no more
 _FOLLOWS_SHARE: Final = 0.01
 #: radii and track alike in all runs that leave a smaller share are all of a change
 _ALL_BUT: Final = 1e-4
@@ -87,8 +87,8 @@ class SimulatorParameter(Effect):
 
 
 class _Basis:
-    # relative change of left, right and track by each number, (n_obs, 3, k); a step is taken where it promises, linear,
-    # to leave no more than the share `most`, and is worth it where it leaves no more than `enough`
+    # relative change of left, right and track by each number, (n_obs, 3, k); a step is taken where it promises to leave
+    # no more than the share `most`, and is worth it where it leaves no more than `enough`
     def __init__(self, wheels: FloatArray, by_wheels: FloatArray, groups: int, most: float, enough: float) -> None:
         self.wheels, self.most, self.enough = wheels, most, enough
         #: weighted readings by each number, shape (n_groups, n_readings, k)

@@ -189,7 +189,7 @@ class SteeringBacklash(Effect):
         # only a clear turn has a side: near zero the sign is noise
         by_side = np.where(np.abs(angle) > TURN_ANGLE_RAD, np.sign(angle), 0.0)
         noise = _noise_rad(observations, angle)
-        # a coarse sensor does not tell noise and small corrections apart: there a turn alone is a move
+        # to a coarse sensor a turn alone is a move
         band = STILL_ANGLE_RAD if 6.0 * noise < STILL_ANGLE_RAD else max(TURN_ANGLE_RAD, 6.0 * noise)
         moved = np.where(np.abs(angle) > band, angle, 0.0)
         wheel = _wheel_rad(observations, angle)
@@ -224,7 +224,7 @@ def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
 
 
 def _bend_rad(observations: Observations) -> FloatArray:
-    # from each start on: squares over many runs would leave nothing of a difference
+    # from each start on: squares over many runs leave nothing of a difference
     turn, path = observations.cumulative(observations.turn_rad), observations.cumulative(observations.path_m)
     way = np.cumsum(np.abs(observations.path_m))
     index = np.arange(len(way))
@@ -236,7 +236,7 @@ def _bend_rad(observations: Observations) -> FloatArray:
 
     def summed(values: FloatArray) -> FloatArray:
         restarted = values.copy()
-        # else the sums of the runs before would round what is left of a difference
+        # else the sums of runs before round a difference
         restarted[observations.starts[1:-1]] -= observations.total(values)[:-1]
         running = np.cumsum(restarted)
         return running[last] - running[first] + values[first]

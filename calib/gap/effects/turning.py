@@ -237,10 +237,10 @@ class DriveSlip(Effect):
             _front_excess(observations, travel) for travel in (front * speeding, front * acceleration, front)
         )
         both = (per_acceleration, rolling)
-        # a run from rest to rest gains and loses the same by acceleration and braking
+        # from rest to rest both cancel
         gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        # where it drives the odometry, a share alike in all runs is its radius, as is one that follows the load: rubber
-        # gives way by more than it slips
+        # where it drives the odometry, a share alike in all runs, or by the load, is its radius: rubber gives way by
+        # more than it slips
         share_shows = not observations.by_front
         slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
         for name, force in _forces_N(observations).items():

@@ -19,8 +19,8 @@ REPORTED_GAP_PROBABILITY: Final = 0.3
 NAMED_PROBABILITY: Final = 0.1
 #: log evidence within which hypotheses are not separated: the same odds
 LOG_EVIDENCE_WINDOW: Final = -log(NAMED_PROBABILITY)
-#: least own probability of a cause that is small, or beside a residual that hides whether a correction helps: of small
-#: ones stated at 0.8 to 0.9 in 350 development cases 4 of 7 were not at work
+#: least own probability of a small cause, or one beside a residual that hides whether a correction helps: of small ones
+#: at 0.8 to 0.9 in 350 development cases 4 of 7 were not at work
 CERTAIN_PROBABILITY: Final = 1.0 - NAMED_PROBABILITY
 
 #: least probability that all causes of a fix are at work: a wrong one costs 1.5 times one withheld

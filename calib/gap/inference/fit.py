@@ -14,7 +14,7 @@ from calib.gap.observations import Observations
 from calib.gap.predict import Path, predict, residuals, signature
 from calib.types import BoolArray, FloatArray
 
-#: prior standard deviation of sizes, in typical sizes: only keeps the solution finite
+#: prior standard deviation of sizes, in typical ones: keeps the solution finite
 SIZE_SD = 30.0
 #: prior standard deviation of a recalibration, relative: left, right radius, track, front radius; the last is held: its
 #: error is a gap to be named
@@ -25,7 +25,7 @@ _MAX_HALVINGS: Final = 10
 _ROUNDING: Final = 1e-9
 #: a step of a hundredth of every standard uncertainty ends the fit
 _SMALL_STEP: Final = 0.01
-#: standard uncertainties of a far step: the path moves effects by a third of one
+#: standard uncertainties of a far step: it moves effects by a third of one
 _FAR_STEP: Final = 10.0
 #: chance that noise alone passes for a recalibration
 BY_CHANCE: Final = 0.001
@@ -244,8 +244,7 @@ def fit(
 def recalibrate(nominal: Path, noise: Noise, start: Fitted | None = None) -> Fitted:
     """Return the recalibration alone; none where the model's own leaves no more than noise may.
 
-    Where routes hardly tell a direction (closed loops of one sense) the best is far off, and nothing linear about it
-    holds for the model's own.
+    Where routes hardly tell a direction (loops of one sense) the best is far off.
     """
     alone, fitted = fit(nominal, noise, steps=0), fit(nominal, noise, start=start)
     return fitted if is_gain(alone.chi_square - fitted.chi_square, alone) else alone

@@ -39,7 +39,7 @@ TOLERANCE: Final = 0.15
 MOST_EFFECTS: Final = 6
 #: effects of which all pairs are tried: one may hide the other
 PAIRED: Final = 60
-#: cost of noise estimated too small by 1.4 in one channel of a hundred runs: 30 degrees of freedom err by no more
+#: cost of noise too small by 1.4 in one channel of a hundred runs: 30 degrees of freedom err no more
 NOISE_WINDOW: Final = 14.0
 #: of the sizes that choose a model's prior scale
 _RIDGE: Final = 1e-2
@@ -205,7 +205,7 @@ class LocalSearch:
     def greedy_search(self) -> Model:
         """Move to the best neighbour until none is better; return the model reached.
 
-        A move has to pay beside the deviations before and after it, or two would alternate.
+        A move pays beside the deviations before and after it, or two would alternate.
         """
         refused: set[frozenset[int]] = set()
         models, value = self._weighed_around(refused)

@@ -141,7 +141,7 @@ def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:
         return start.fitted
     system = initial.system
     if system.path.s.calibration_held and is_far(system.fitted):
-        # two parameters of a simulator far off: neither leads near alone, but both show
+        # two parameters far off: neither leads near alone
         forms = initial.forms_of(copy(initial).greedy_search())
         fitted = fit(system.nominal, system.noise, forms, start=system.fitted, steps=_TRIAL_STEPS)
         if not is_far(fitted):
@@ -307,7 +307,7 @@ def _converge(
     for number in range(_MAX_PASSES):
         if passed is not None:
             passed()
-        # the last passes keep the set: two equally probable ones must not alternate
+        # the last passes keep the set: two alike must not alternate
         if greedy and number < _MAX_PASSES - 2:
             local.largest_scale = largest_scale
             local.greedy_search()

@@ -75,7 +75,7 @@ def _noise_supports(path: Path) -> Iterator[_NoiseSupport]:
     yield near, beside, components.session_steps(path), enough
     yield near, beside, None, enough
     if not observations.windowed:
-        # few repeats leave the scales open by a factor of three: routes tell more
+        # few repeats leave the scales open: routes tell more
         loads = components.load_speed_trends(path)
         for laws, least in ((components.route_trends(path), enough), (loads, ENOUGH_DOF)):
             yield Basis.ROUTE, observations.kind, np.concatenate([laws, trends], axis=2), least

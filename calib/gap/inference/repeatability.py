@@ -17,7 +17,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 PRIOR_SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
 SCALE_BOUNDS: Final = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(PRIOR_MEDIANS), PRIOR_SPREADS, strict=True)]
-#: of normal noise beyond which units weigh less: within it squares would exceed their floor by a seventh or more
+#: of normal noise beyond which units weigh less: within it squares exceed their floor by a seventh
 OUTLIER_PROBABILITY: Final = 0.05
 #: most units that scales are found from: known to a few per cent
 MAX_REPLICATES: Final = 480

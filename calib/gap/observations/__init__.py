@@ -44,7 +44,7 @@ class Channel(IntEnum):
 N_CHANNELS: Final = len(Channel)
 POSE: Final = (Channel.ALONG, Channel.LATERAL)
 
-#: steps worked on at a time: some forty arrays of half a megabyte mostly stay in the cache
+#: steps worked on at a time: forty arrays of half a megabyte stay in the cache
 STEPS_AT_ONCE: Final = 2**16
 #: so many steps keep what follows from counts: ten values each
 KEPT_STEPS: Final = 2**20

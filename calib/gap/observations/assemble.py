@@ -129,7 +129,7 @@ def _unwrapped(heading: FloatArray, turn: FloatArray, remarks: list[str]) -> Flo
     if not known.any():
         return heading
     wraps = 2 * np.pi * np.round((turn - heading) / (2 * np.pi))
-    # only where both then agree: wheels with swapped or halved counts are wrong
+    # only where both then agree: the wheels may be wrong
     with np.errstate(invalid="ignore"):
         wraps = np.where(np.abs(turn - heading - wraps) < 1.0, wraps, 0.0)
     if np.abs(heading[known]).max() <= np.pi + 0.05:
@@ -152,7 +152,7 @@ def _measured(
     with np.errstate(invalid="ignore"):
         chord = np.hypot(measured[:, 1], measured[:, 2])
         straight = (np.abs(turn) < STRAIGHT_RAD) & ~(chord < 0.9 * np.abs(path))
-        # without a log the distance tells a guided run, on which unequal wheels seem to turn
+        # without a log the distance tells a guided run
         guided = np.abs(np.abs(measured[:, 0]) - np.abs(path)) < 0.05 * np.abs(path)
     pose_ok = logged | straight
     usable = np.isfinite(measured)

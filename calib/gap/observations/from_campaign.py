@@ -36,7 +36,7 @@ WINDOWS_WANTED: Final = 48
 MIN_WINDOW_TRACKS: Final = 1.5
 #: share of their mean, beyond which loads matter
 LOADS_VARY: Final = 0.05
-#: of a millimetre the square is a part in 1e18 of this distance's: double precision ends there
+#: a millimetre's square is 1e-18 of this one's: double precision ends there
 LONGEST_RUN_M: Final = 1e6
 MIN_WINDOW_SAMPLES: Final = 4
 
@@ -174,7 +174,7 @@ def check_distances(campaign: Campaign, observations: Observations) -> None:
 def with_known_loads(campaign: Campaign) -> tuple[Campaign, str]:
     """Return the campaign without runs of unknown load where measured ones vary, and a note.
 
-    Taken as unladen they would contradict any law of the load. Of payloads alone none stated is none carried.
+    Taken as unladen they contradict any law. Of payloads alone none stated is none carried.
     """
     runs, logs = campaign.runs, campaign.logs
     loads_N = runs.number("load_left_N") + runs.number("load_right_N")
@@ -226,7 +226,7 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
         lacking += sum(bool(ends[run.run] and np.isnan(unit.measured[1:]).all()) for unit in posed)
         units.extend(posed)
         if windows and not setup.stands_in:
-            # front wheel and laser are compared over the whole: windows would share their errors
+            # front wheel and laser are compared over the whole
             units.append(replace(run, measured=np.append(run.measured[:1], np.full(3, np.nan))))
     notes = []
     if without_counts := len(campaign.runs) - len(recorded):

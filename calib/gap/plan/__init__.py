@@ -339,7 +339,7 @@ def tied(apart: Apart, number: IntArray, counts: IntArray, ties: Sequence[Sequen
         ]
         return np.reshape(every, (len(sets), len(pairs)))
 
-    # grouped by their odds: what tells them has to come on top
+    # grouped by their odds: what tells them comes on top
     before = of([()])
     beyond = np.where(before >= SEPARATION_SD, before, 0.0) ** 2
     names = [f"{' and '.join(sorted(own))} from {other}" for own, other in pairs]

@@ -98,7 +98,7 @@ def next_runs(
     measured, dimensions = _measured(driven), dimensions_of(driven)
     if not (candidates := _candidates(driven, measured, dimensions, ties) if candidates is None else candidates):
         return []
-    # the unladen run comes first; where nothing shows the noise so far, one repeat more does
+    # the unladen run comes first; one repeat more shows the noise
     extra, unladen = int(noise.dof <= 0.0), _corridor_run(driven, dimensions)
     unladen = replace(unladen, tape=not (measured.distance or measured.position), count=1 + extra * REPEATS)
     runs = [unladen, *(replace(run, count=_count(driven, run) + extra) for run in candidates)]
@@ -147,14 +147,14 @@ def next_runs(
 
 
 def _all_new(driven: Campaign, runs: Sequence[PlannedRun]) -> bool:
-    # but the first: a session of new routes alone could be a step of that session
+    # but the first: new routes alone could be a step of the session
     known, *new = [_count(driven, replace(run, tape=False)) == 1 for run in runs]
     return known and bool(new) and not any(new)
 
 
 def _best(task: Task, after: Sequence[FloatArray], runs: Sequence[PlannedRun], usual_mps: float) -> int:
     best = max(range(len(after)), key=lambda k: (task.score(after[k]), -k))
-    # another speed is one difference more from the runs driven: not where it hardly tells more
+    # another speed is one difference more
     usual, least = replace(runs[best], speed_mps=usual_mps), (1.0 - FORM_ERROR) * after[best]
     alike = (k for k, run in enumerate(runs) if task.tied and run == usual and (after[k] >= least).all())
     return next(alike, best)

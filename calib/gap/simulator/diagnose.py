@@ -326,7 +326,7 @@ def _rivals_of(diagnosis: Diagnosis, differences: Differences, named_fix: Simula
             run.append(rival(whole, run_alone(diagnosis, differences, whole, limit=PROMISED * limit)))
     if run and len(named) < len(verdict):
         n_sizes = sum(len(size) for _, size, _ in diagnosis.fitted.each())
-        # as run with what the library takes, where it was: changes about nominal bend
+        # as run, where it was: changes about nominal bend
         square = diagnosis.fitted.chi_square if named_fix is None else named_fix.square
         run.append(_Rival(verdict, square + n_sizes * log(n_rows), named, None))
     run.sort(key=attrgetter("score"))
@@ -340,7 +340,7 @@ def _rivals_of(diagnosis: Diagnosis, differences: Differences, named_fix: Simula
 def _neighbours(
     diagnosis: Diagnosis, differences: Differences, best: _Rival, limit: float
 ) -> Iterator[dict[str, Declared]]:
-    # what signatures about nominal leave too much of, though it bent as far as may be, is no rival
+    # what leaves too much, bent as far as may be, is no rival
     assert best.fix is not None
     forms, sign, columns, gap = scaled_signatures(diagnosis)
     names = [form.effect for form in forms]
@@ -383,7 +383,7 @@ def _as_rivals(diagnosis: Diagnosis, rivals: Sequence[_Rival]) -> Diagnosis:
     assert evidence is not None
     causes = []
     for cause in diagnosis.causes:
-        # what went together in the search, and was run, shares its probability by the runs alone
+        # what was run together shares its probability by the runs alone
         group = ran.intersection(groups.get(cause.effect, ()))
         probability = any_probability(evidence, group) if len(group) > 1 else cause.probability
         causes.append(replace(cause, probability=probability * shares.get(cause.effect, 1.0)))

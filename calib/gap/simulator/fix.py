@@ -120,7 +120,7 @@ def fixed(
 
 
 def _farther(ran: Iterable[Trial], closure: Closure) -> Iterator[str]:
-    # headings weigh more than ends that opposite errors kept near
+    # opposite errors keep ends near: headings weigh more
     for trial in ran:
         before_m, after_m = trial.before_rms_m or 0.0, trial.after_rms_m or 0.0
         if after_m**2 > before_m**2 + (closure.floor_rms_m or 0.0) ** 2:
@@ -225,7 +225,7 @@ def _followed(
 
 
 def _within(named: Mapping[str, Declared], deviation: FloatArray) -> FloatArray:
-    # none implausible, nor a length at nothing: a simulator may fail there
+    # none implausible, nor a length of 0: a simulator may fail there
     nominal, far = np.array([(each.nominal, each.largest) for each in named.values()]).T
     inside: FloatArray = np.clip(deviation, -far, far)
     return np.where(inside == -nominal, NOT_NOTHING * inside, inside)
