@@ -232,6 +232,11 @@ class HeldCalibration(Effect):
         return [replace(form, parameters=tuple(group)) for form, group in zip(forms, signed, strict=True)]
 
 
+def of_at_most(n: int, effect: Effect, observations: Observations) -> bool:
+    """Return whether no form of an effect has more than `n` parameters, where `n` is not 0."""
+    return n > 0 and all(len(form.parameters) <= n for form in effect.forms(observations))
+
+
 def without_forms(effect: Effect, labels: Sequence[str]) -> Effect:
     """Return an effect without the forms of these labels."""
     other = copy(effect)

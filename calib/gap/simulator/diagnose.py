@@ -212,7 +212,9 @@ def _candidates(
     out = {e.id for e, form in signed if e.parameter.sign * (_scaled(nominal, [form])[:, 0] @ gap) < 0.0}.union(exclude)
     stands_for = Counter(each.effect for cause, each in differences.by_cause.items() if cause not in out)
     every = library(observations, exclude=exclude, declared=campaign.extra.get("effects", ()))
-    rivals = [HeldCalibration(e) if e.calibration else e for e in every if not _replaced(e, stands_for, observations)]
+    # one slope for both wheels does not do what one each does
+    every = [effect for effect in every if not simulator.of_at_most(stands_for[effect.id], effect, observations)]
+    rivals = [HeldCalibration(effect) if effect.calibration else effect for effect in every]
     noisy = differences.repeats > 1
     signs = _spanned([rival for rival in rivals if _is_setting(rival, observations, noisy)], own, nominal, noisy)
     spanned = [name for name, forms in signs.items() if all(len(theirs) == 2 for theirs in forms.values())]
@@ -229,18 +231,11 @@ def _candidates(
         notes.append(f"parameters of the simulator do what {', '.join(spanned)} would: these were not searched")
     if noisy:
         notes.append(f"the simulator does not repeat itself: {differences.repeats} runs were averaged each time")
-    held = {rival.id: rival for rival in rivals if isinstance(rival, HeldCalibration)}
-    others = []
+    held, others = {rival.id: rival for rival in rivals if isinstance(rival, HeldCalibration)}, list[Effect]()
     for rival in rivals:
         zeros = {held[name]: 1.0 / _reach(held[name], nominal)[""] for name in rival.own_shifts if name in spanned}
         others.append(simulator.with_zero(rival, zeros, _reach(rival, nominal) if zeros else {}))
     return [*own, *(rival for rival in others if rival.id not in spanned)], tuple(notes)
-
-
-def _replaced(effect: Effect, stands_for: Counter[str], observations: Observations) -> bool:
-    # one slope for both wheels does not do what one each does
-    n = stands_for[effect.id]
-    return n > 0 and all(len(form.parameters) <= n for form in effect.forms(observations))
 
 
 def _reach(effect: Effect, nominal: Path) -> dict[str, float]:
