@@ -1,4 +1,4 @@
-"""What calib returns and writes: results and their plain values, JSON and CSV text, the checksum of its own files.
+"""What calib returns and writes: results, plain values, JSON and CSV text, the checksum of its files.
 
 The checksum is SHA-256 over a canonical form that survives re-indenting and re-ordering.
 """
@@ -105,8 +105,7 @@ def _doubles(value: Any) -> Any:
     return value
 
 
-#: draws and words every result, and makes markup of it; looked up by name at the first call, so that no stage imports
-#: what stands above it
+#: draws and words every result; looked up by name at the first call, so that no stage imports what stands above it
 PRESENTATION: Final = "calib.reporting.topics"
 PAGES: Final = "calib.reporting.pages"
 SENTENCES: Final = "calib.gap.decision.sentences"
@@ -165,8 +164,8 @@ def plain(value: Any) -> Any:
     """Return a value as JSON can hold it: the one serialiser of the project.
 
     Dataclasses become objects with a key a field, arrays lists, enumerations their values, paths text, numbers that are
-    not finite null. A field is omitted with ``metadata={"json": False}`` and renamed with ``metadata={"json":
-    "name"}``; an object with a ``to_dict`` of its own is asked for it.
+    not finite null. ``metadata={"json": False}`` omits a field, ``metadata={"json": "name"}`` renames it; a ``to_dict``
+    of its own is used.
     """
     if value is None or type(value) in {bool, int, str}:
         return value
@@ -199,7 +198,7 @@ def plain(value: Any) -> Any:
 
 
 def plain_fields(value: Any, **changes: Any) -> dict[str, Any]:
-    """Return a dataclass's fields as plain values, for a ``to_dict`` that adds to them or replaces some.
+    """Return a dataclass's fields as plain values, for a ``to_dict`` that changes some.
 
     `changes`: key of the JSON -> value, in place of the field's own or after the fields.
     """

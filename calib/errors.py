@@ -1,7 +1,6 @@
 """The one family of errors that users see, how large an input may be, and that no input is written over.
 
-A message says in one line where, what was found, what was expected and what to do. What is too large is refused before
-time or memory are spent.
+A message says in one line where, what was found, what was expected and what to do. What is too large is refused first.
 """
 
 import os
@@ -103,13 +102,13 @@ def missing_reader(shown: str, what: str, package: str, extra: str) -> BadFileEr
 
 
 def error_words(error: Exception) -> str:
-    """Return what a library says of a damaged file, on one line; its kind of error where it says nothing."""
+    """Return what a library says of damage on one line; else its kind of error."""
     return " ".join(str(error).split())[:100] or type(error).__name__
 
 
 @contextmanager
 def damage_named(shown: str, what: str, expected: str, remedy: str) -> Iterator[None]:
-    """Turn what a library answers to damage, in errors of many kinds, into one error with its words.
+    """Turn a library's errors on damage into one error with its words.
 
     What memory, the file system or calib itself refuses is raised as it is.
     """
@@ -143,10 +142,10 @@ SHEET_EMPTY: Final = 1_000_000
 SHEET_UNPACKED_BYTES: Final = 512 << 20
 #: a variable of a MATLAB file, unpacked
 MATLAB_UNPACKED_BYTES: Final = 2 << 30
-#: runs of a plan, or to choose from; and samples of each one's log, which a slow or long one takes at wider steps
+#: runs of a plan, or to choose from; samples of each log, slow or long ones at wider steps
 PLANNED_RUNS: Final = 1000
 PLANNED_SAMPLES: Final = 2000
-#: points that a route is driven through: 10 km at the 0.05 m of a simulation; and those of all its vehicles together
+#: points of a route: 10 km at the 0.05 m of a simulation; and those of all its vehicles
 ROUTE_POINTS: Final = 200_000
 SIMULATED_POSES: Final = 500_000
 #: draws of a Monte Carlo; values of a sweep of loads
@@ -154,14 +153,14 @@ DRAWS: Final = 1_000_000
 #: pieces of a route driven in a Monte Carlo, all journeys and draws together
 DRAWN_PIECES: Final = 200_000_000
 SWEEP_VALUES: Final = 10_000
-#: a simulated fleet: runs of all its vehicles, months that they are spread over; cases of a blind check; processes
+#: a simulated fleet: runs of all vehicles, months; cases of a blind check; processes
 FLEET_RUNS: Final = 20_000_000
 FLEET_MONTHS: Final = 600
 CASES: Final = 100_000
 WORKERS: Final = 64
 
 _PART: Final = r"""(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')"""
-#: a key of more parts than may be, wherever it stands; possessive, so that the search takes one pass
+#: a key of too many parts; possessive, so that the search takes one pass
 _DEEP: Final = re.compile(rf"(?<![A-Za-z0-9_.-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{KEY_PARTS}}}")
 
 
@@ -188,7 +187,7 @@ def refuse_workers(workers: int) -> None:
 
 
 def refuse_hostile_keys(text: str, shown: str) -> None:
-    """Refuse TOML with a dotted key of too many parts, whose parsing takes the square of its length.
+    """Refuse TOML with too long a dotted key, whose parsing takes the square of its length.
 
     Raises BadFileError with the row.
     """
@@ -233,7 +232,7 @@ def refuse_hostile_document(document: dict[str, object], shown: str) -> None:
         raise BadFileError(shown, actual, expected, "correct the key", column=level[0][0][:60])
 
 
-#: entries of an input folder searched for a hard link to the target; with more, the target is refused
+#: entries of an input folder searched for a hard link to the target; beyond, it is refused
 MOST_SEARCHED: Final = 200_000
 #: files that calib writes and never reads as measurements: inside an input folder they may be replaced
 _OUTPUT_SUFFIXES: Final = frozenset({".json", ".pdf", ".png", ".svg", ".html", ".h", ".yaml", ".yml"})

@@ -1,7 +1,7 @@
 """Files and folders written whole.
 
-A file is written under a temporary name and then renamed. A folder is made beside its target and swapped with it, or
-its entries are made inside with a list of what to move, which `settle` finishes after a crash.
+A file is written under a temporary name and renamed. A folder is made beside its target and swapped, or its entries are
+made inside with a list of moves, which `settle` finishes after a crash.
 """
 
 import errno
@@ -23,7 +23,7 @@ PREFIX: Final = ".calib-"
 SUFFIX: Final = ".tmp"
 #: in place of the target's hash where a folder is renewed from inside
 INSIDE: Final = "inside"
-#: a folder with more other entries than this is renewed from inside: linking each beside it would take too long
+#: folders of more other entries are renewed from inside: linking each takes too long
 MOST_OTHERS: Final = 500
 #: list of the moves that complete a folder renewed from inside
 _MOVES: Final = ".ready.json"
@@ -97,7 +97,7 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
         except FileNotFoundError:
             continue
         except OSError as error:
-            # a file where a folder should be, a name that is too long, a folder without access
+            # a file in place of a folder, too long a name, no access
             fault = f"{path}: found {error.strerror}"
             raise BadInputError(f"{fault}; expected a place for a file; choose another path") from error
         except ValueError as error:
@@ -105,7 +105,7 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
 
 
 def _rename(temporary: Path, path: Path, *, force: bool) -> None:
-    """Rename a complete file to its target; without `force` a file that another writer put there is kept."""
+    """Rename a complete file to its target; without `force` another writer's is kept."""
     if not force:
         try:
             os.link(temporary, path)
@@ -206,7 +206,7 @@ def write_folder(folder: Path, names: Sequence[str], fill: Callable[[Path], None
 
 
 def settle(folder: Path) -> None:
-    """Finish what a killed writer began inside `folder`: a complete list of moves is carried out, the rest removed.
+    """Finish what a killed writer began in `folder`: a complete list of moves is done, the rest removed.
 
     Raises BadInputError where the folder needs it and cannot be written.
     """
@@ -272,7 +272,7 @@ def _renew_beside(target: Path, names: Sequence[str], fill: Callable[[Path], Non
         if not _swap(fresh, target):
             _renew_inside(target, names, lambda inner: _move_all(fresh, inner, names))
         elif not force and any(os.path.lexists(fresh / name) for name in names):
-            # race condition: another writer was first and gets its name back
+            # another writer was first and gets its name back
             _swap(fresh, target)
             raise would_overwrite(target)
     finally:
@@ -310,7 +310,7 @@ def _renew_inside(target: Path, names: Sequence[str], fill: Callable[[Path], Non
 
 
 def _move_in(fresh: Path, target: Path) -> None:
-    """Move complete entries into their folder; may be called again after a kill."""
+    """Move complete entries into their folder, again after a kill."""
     import json
 
     moves = json.loads((fresh / _MOVES).read_text(encoding="utf-8"))

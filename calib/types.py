@@ -1,7 +1,7 @@
 """What all stages share: types of arrays, progress, operations on samples and poses, units.
 
-Inside the package everything is SI (m, rad, s, kg, N, degrees Celsius for floor temperature): the unit suffixes of
-columns and keys are converted at the border.
+Inside the package all is SI (m, rad, s, kg, N, degrees Celsius for floor temperature): columns and keys are converted
+at the border.
 """
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -18,7 +18,7 @@ StrArray = npt.NDArray[np.str_]
 #: a row of a table by its columns
 Row = dict[str, str | float | None]
 
-#: called with the steps done, the number of steps (0 where it is not known), and the name of the stage
+#: called with steps done, number of steps (0: unknown), name of the stage
 Progress = Callable[[int, int, str], None]
 
 Item = TypeVar("Item")
@@ -26,7 +26,7 @@ Key = TypeVar("Key")
 
 
 def floats(values: npt.ArrayLike) -> FloatArray:
-    """Return values as an array of doubles; one that is such an array is not copied."""
+    """Return values as an array of doubles, not copied if one."""
     return np.asarray(values, dtype=np.float64)
 
 
@@ -43,7 +43,7 @@ def stepped(items: Collection[Item], progress: Progress, stage: str) -> Iterator
 
 
 def grouped(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:
-    """Return the second parts of pairs by the first, in the order in which these first appear."""
+    """Return the second parts of pairs by the first, in order of appearance."""
     groups: dict[Key, list[Item]] = {}
     for key, item in pairs:
         groups.setdefault(key, []).append(item)
@@ -71,12 +71,12 @@ def in_frame(apart: FloatArray, heading_rad: FloatArray) -> FloatArray:
 
 
 def evenly(count: int, most: int) -> IntArray:
-    """Return the indices of at most `most` of `count` samples, at equal distances, both ends among them."""
+    """Return at most `most` indices of `count` samples, evenly, with both ends."""
     return np.linspace(0, max(count - 1, 0), min(count, most)).round().astype(np.int64)
 
 
 def few_digits(value: float, digits: int = 3) -> str:
-    """Return a size in a sentence to some digits; where it is large, all before the point and no exponent."""
+    """Return a size to some digits; of a large one all before the point, no exponent."""
     return f"{value:.{digits}g}" if abs(value) < 10**digits - 0.5 else f"{value:.0f}"
 
 
@@ -157,8 +157,7 @@ def unit_named(text: str) -> str | None:
 def split_suffix(name: str) -> tuple[str, str | None]:
     """Split a column name into its stem and its unit suffix.
 
-    `name`: for example ``distance_mm``. Returns `stem`: ``distance``; `suffix`: ``mm``, or None where the name ends in
-    no known unit.
+    ``distance_mm`` gives `stem` ``distance`` and `suffix` ``mm``, None without a known unit.
     """
     stem, sep, suffix = name.rpartition("_")
     return (stem, suffix) if sep and suffix in SUFFIXES else (name, None)

@@ -19,7 +19,7 @@ SKID_TRACK: Final = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Usual:
-    """Range of a setting that a wheeled vehicle has, in the unit of its name; `calib check` names what is outside."""
+    """Usual range of a setting in its unit; `calib check` names what is outside."""
 
     low: float
     high: float
@@ -47,9 +47,9 @@ class Vehicle:
     cog_z_m: float = 0.4
     #: permissible wheel load
     max_wheel_load_N: Positive = 5000.0
-    #: tricycle: front wheel driven and steered; differential: two rear wheels driven; mecanum: four wheels with rollers
-    #: at 45 degrees; ackermann: front wheels steered, the way counted at rear axle or drive shaft; skid: a differential
-    #: of effective track
+    #: tricycle: front wheel driven and steered; differential: two rear wheels driven; mecanum: four wheels, rollers at
+    #: 45 degrees; ackermann: front steered, way counted at rear axle or drive shaft; skid: differential of effective
+    #: track
     drive: Drive = "tricycle"
     #: radius of the front wheel; None where the rear wheels' holds for it too
     front_wheel_radius_m: Positive | None = None
@@ -212,7 +212,7 @@ def sweep_loads(
 ) -> LoadSweep:
     """Return the wheel loads of a payload, or of a sweep of its mass or place; see `LoadSweep`.
 
-    `span`, `steps`: both ends, and how many values. Raises RefusedError for the first payload that cannot be carried.
+    `span`, `steps`: both ends, number of values. Raises RefusedError for the first payload that cannot be carried.
     """
     values = {"payload_kg": payload_kg, "payload_x_m": payload_x_m, "payload_y_m": payload_y_m}
     if swept and (swept not in SWEPT or not 2 <= steps <= SWEEP_VALUES):
@@ -226,7 +226,7 @@ def sweep_loads(
     if not np.isfinite([mass, x, y]).all() or (mass < 0.0).any():
         raise BadInputError("payload: found a value below 0 or not finite; expected a mass from 0 kg and a place in m")
     loads = np.stack(wheel_loads_N(vehicle, mass, x, y))
-    # written so that what is no number is bad
+    # NaN is bad, too
     bad = ~((loads.min(axis=0) > 0.0) & (loads.max(axis=0) <= vehicle.max_wheel_load_N))
     if bad.any():
         k = int(np.argmax(bad))

@@ -1,4 +1,4 @@
-"""What comes after a result: what to drive next, what a law does, and where it goes; `plan`, `simulate` to `export`."""
+"""What follows a result: runs to drive next, what a law does, where it goes; `plan`, `simulate` to `export`."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -105,7 +105,7 @@ def simulate(
     study : {"symmetric", "asymmetric", "corrected", "custom"}
         The paper's studies, or ``custom`` for the law alone.
     law : Fit, Path or str, optional
-        Drive the same journeys under this law, of a fit or a coefficient file, its 95 % band carried to the end pose.
+        Law for the same journeys, of a fit or a coefficient file, its 95 % band carried to the end pose.
     routes : sequence of str
         Names of routes or route files in place of the study's own.
     loads_N : sequence of (float, float)
@@ -140,7 +140,7 @@ def replay(campaign: CampaignLike, law: Fit | Geometry | Path | str, *, scheme: 
     campaign : Campaign
         Runs with logs, wheel loads and reference end poses.
     law : Fit, Geometry, Path or str
-        The law that corrects, the geometry, or a coefficient file of either; best of a campaign other than this one.
+        Law or geometry that corrects, or a coefficient file of either; best of another campaign.
     scheme : {"exact", "mid_point", "euler", "end_point"}
         How a step is drawn.
     seed : int
@@ -181,7 +181,7 @@ def report(
     Parameters
     ----------
     source : Campaign, Path, str or Fit
-        A campaign is fitted first; runs that allow no law, as loops do, give a report of their geometry.
+        A campaign is fitted first; runs without a law, as loops, give a report of their geometry.
     target : Path or str
         The PDF, or a folder for it.
     date : str, optional
@@ -228,7 +228,7 @@ def export(
     accept_implausible: str = "",
     force: bool = False,
 ) -> Mapping[str, str]:
-    """Return the coefficients as the vehicle needs them, and write them where a target is given.
+    """Return the coefficients as the vehicle needs them; write them to a target, if any.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def export(
     campaign : Campaign, Path or str, optional
         What a geometry was estimated from.
     outside : {"refuse", "clamp"}
-        What the vehicle does with a load that was not measured: ``clamp`` takes the nearest one that was.
+        For a load that was not measured: ``clamp`` takes the nearest one that was.
     accept_implausible : str
         Why a law beyond the bounds of its vehicle is passed on all the same; written into the file.
     force : bool

@@ -44,8 +44,8 @@ WORDS: Final[Mapping[Any, str]] = {
 def checked(function: Callable[Parameters, Returned]) -> Callable[Parameters, Returned]:
     """Return the function with its arguments held against their annotations.
 
-    Whole numbers and numbers of numpy are taken; so are texts and path-like objects for paths. Raises BadInputError,
-    which says which argument, what was found and what is expected.
+    Whole numbers and those of numpy are taken; texts and path-like objects are paths. Raises BadInputError, which names
+    the argument, what was found and what is expected.
     """
 
     @wraps(function)
@@ -62,7 +62,7 @@ def checked(function: Callable[Parameters, Returned]) -> Callable[Parameters, Re
 
 
 def bind(function: Callable[..., Any], args: Sequence[Any], kwargs: Mapping[str, Any]) -> inspect.BoundArguments:
-    """Return the arguments of a call as the function's annotations have them; raises BadInputError."""
+    """Return a call's arguments as the annotations have them; raises BadInputError."""
     try:
         bound = inspect.signature(function).bind(*args, **kwargs)
     except TypeError as error:
@@ -201,7 +201,7 @@ def ingest(
     Parameters
     ----------
     sources : Path or str, or a sequence of them
-        The run table first, where there is one; then logs or recordings, or folders of them. They are only read.
+        The run table, if any, first; then logs, recordings or their folders. They are only read.
     into : Path or str
         The campaign folder to make.
     mapping : Path or str, optional
@@ -217,7 +217,7 @@ def ingest(
     Raises
     ------
     BadInputError
-        Where a source cannot be used, the mapping names a column that is not there, or the target exists.
+        Where a source cannot be used, a column of the mapping is missing, or the target exists.
     """
     from calib.campaign.ingest.build import ingest as ingested
 
@@ -326,9 +326,9 @@ def diagnose(
     seed : int
         Seed of the bootstraps.
     journeys : Path or str, optional
-        A plan of runs still to come, on which the corrections of causes that cannot be told apart are compared.
+        A plan of runs to come, to compare the corrections of causes that cannot be told apart.
     simulator : Path or str, optional
-        Settings of the user's own simulator, ``SIM.toml``: its command is run, and judged in place of the model.
+        ``SIM.toml`` of the user's own simulator, which is run and judged in place of the model.
     workers : int
         Runs of the simulator at once.
 

@@ -1,6 +1,6 @@
 """What was driven and measured: the campaign folder, its settings, run table and logs.
 
-Here a raw run table becomes the `RunTable` of later stages; a campaign a folder, of the same bytes each time.
+A raw run table becomes a `RunTable`, a campaign a folder of the same bytes each time.
 """
 
 import itertools
@@ -26,7 +26,7 @@ from calib.io import write_folder
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, grouped
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
-#: no run agrees by chance with a statistic of others in all numbers that vary, so many spreads wide
+#: in so many spreads no run agrees by chance with a statistic of others in all numbers that vary
 _BY_CHANCE: Final = 1e-6
 #: label -> what it may be, since checks and end poses rest on it, and what to do about others
 _CHOICES: Final = {
@@ -233,8 +233,8 @@ def write_campaign(
     """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none, of one generation.
 
     Raises BadInputError where a campaign is there and `force` is False, or the folder cannot be written; other files
-    there stay. `log_decimals`: as ``{"range_m": 4}``; other columns are written so that they read back exactly, times
-    to the nanosecond; `beside`: further files by their name in the folder (``ingest.json``); see `write_folder`.
+    stay. `log_decimals`: as ``{"range_m": 4}``; other columns read back exactly, times to the nanosecond; `beside`:
+    further files by name (``ingest.json``); see `write_folder`.
     """
 
     def fill(scratch: Path) -> None:
@@ -257,7 +257,7 @@ def _log_names(campaign: Campaign) -> dict[int, str]:
     taken: set[str] = set()
     for index in np.flatnonzero(campaign.logs.lengths > 0):
         stem = re.sub(r"[^A-Za-z0-9._-]", "_", str(campaign.runs.run_id[index])).lstrip(".") or "run"
-        # compared without case, since some file systems do so
+        # some file systems ignore case
         free = (stem[:100] if number == 1 else f"{stem[:100]}_{number}" for number in itertools.count(1))
         name = next(name for name in free if name.lower() not in taken)
         taken.add(name.lower())
@@ -295,7 +295,7 @@ def _log_bytes(columns: Mapping[str, FloatArray], decimals: Mapping[str, int]) -
     decimals = {"t_s": 9, **decimals}
     for name in (name for name in LOG_COLUMNS if name in columns):
         values = np.round(columns[name], decimals[name]) if name in decimals else columns[name]
-        # minus zero has no integer form and would read back as plus zero
+        # minus zero has no integer form
         whole = np.isfinite(values).all() and (values == np.rint(values)).all() and (np.abs(values) < _INTEGER).all()
         frame[name] = values.astype(np.int64) if whole else values + 0.0
     return csv_bytes(frame)

@@ -1,6 +1,6 @@
-"""Contents of a campaign, and what is wrong or suspicious about it, before anything is computed.
+"""Contents of a campaign, and what is wrong or suspicious about it.
 
-Wrong are blunders in units and settings: a factor beyond what wear, load or a poor nominal value explain.
+Wrong is a factor beyond wear, load or a poor nominal value: blunders in units and settings.
 """
 
 import math
@@ -32,7 +32,7 @@ from calib.vehicle import Usual
 
 
 def implausible(campaign: Campaign) -> Iterator[Note]:
-    """Yield implausible values as notes of level ``wrong``, but of rows flagged as excluded."""
+    """Yield implausible values as notes of level ``wrong``; none of excluded rows."""
     notes, campaign = _with_counts_of_runs(campaign.included())
     yield from notes
     of_columns = measurements.implausible_distances, measurements.implausible_loads, _columns, poses.implausible_poses
@@ -42,7 +42,7 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
 
 
 def _with_counts_of_runs(campaign: Campaign) -> tuple[list[Note], Campaign]:
-    # where the table has running totals: a note, and the campaign with their differences
+    # running totals: a note, and their differences
     totals = both_sides(campaign, "counts_{}")
     step = np.diff(totals, prepend=0.0)
     counted = dict(zip(("counts_left", "counts_right"), np.where(step < 0, totals, step), strict=True))
@@ -224,8 +224,8 @@ class CheckReport:
 def check_campaign(campaign: Campaign, progress: Progress = silent, further: Iterable[Note] = ()) -> CheckReport:
     """Run every check; nothing is changed.
 
-    `campaign`: read leniently, so that faults of single runs are among its notes; of runs flagged as excluded faults
-    alone are reported; `further`: found elsewhere.
+    `campaign`: read leniently, faults of single runs among its notes; of excluded runs faults alone are reported;
+    `further`: found elsewhere.
     """
     excluded = {str(name) for name in campaign.runs.run_id[campaign.runs.excluded]}
     of_totals, included = _with_counts_of_runs(campaign.included())
@@ -249,7 +249,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent, further: Ite
 
 #: columns that no radius can be computed without
 _NEEDED: Final = ("distance_m", "counts_left", "counts_right", "load_left_N", "load_right_N")
-#: notes made while reading that change a result: columns not used, rows that are no runs, sessions joined
+#: notes of reading that change a result: unused columns, rows that are no runs, joined sessions
 _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling", "sim_in_logs"})
 #: checks whose findings fit and diagnosis report themselves, or that change neither
 _NOT_OF_RESULTS: Final = frozenset(
@@ -260,7 +260,6 @@ _MOST_LISTED: Final = 3
 
 
 def _merged(notes: Iterable[Note]) -> list[Note]:
-    # notes of one text as one, on all their runs or places
     merged = []
     for of in grouped((note.text, note) for note in notes).values():
         names = list(dict.fromkeys(one.run_id or one.where for one in of))
@@ -270,9 +269,9 @@ def _merged(notes: Iterable[Note]) -> list[Note]:
 
 
 def notes_for_results(campaign: Campaign, *, of_loads: bool = True) -> tuple[str, ...]:
-    """Return the findings that a fit or a diagnosis states first: each changes the result, and none shows in it.
+    """Return what a fit or a diagnosis states first: findings that change the result and do not show in it.
 
-    `of_loads`: with those on payloads, wheel loads and assumed values, which make no run's end off by a share of its
+    `of_loads`: with those on payloads, wheel loads and assumed values, which shift no run's end by a share of its
     length.
     """
     included = _with_counts_of_runs(campaign.included())[1]

@@ -1,4 +1,4 @@
-"""Logs: which is whose, how one and several at once are read, all end to end with their counters' overflow undone."""
+"""Logs: which is whose, read one by one or together, end to end, counters' overflow undone."""
 
 import os
 import re
@@ -24,15 +24,15 @@ from calib.types import FloatArray, IntArray, Progress, silent, stepped
 _MAX_PATH: Final = 500
 #: widths looked for where the settings name none
 WIDTHS: Final = (13, 16, 32)
-#: up to this share of the counter's span a step's direction is beyond doubt
+#: share of the counter's span up to which a step's direction is certain
 _CLEAR_STEP: Final = 0.4
-#: an overflow, undone, is at most so many times the largest other step: the wheel may just be fastest
+#: an undone overflow is at most so many times the largest other step: the wheel may be fastest there
 _LIKE_OTHERS: Final = 2.0
 #: nothing is divided by less time between samples
 _SHORTEST_STEP_S: Final = 1e-9
 #: seconds that 32 bits of milliseconds and microseconds hold
 _FULL_CLOCKS_S: Final = (2**32 / 1e3, 2**32 / 1e6)
-#: least growth of the columns in samples, and as a share
+#: least growth of columns: samples, share
 _GROWTH: Final = 1 << 16
 _GROWTH_SHARE: Final = 0.125
 #: a log with a later first sample is noted: its times count from that
@@ -42,7 +42,7 @@ LATE_START_S: Final = 1.0
 def log_files(folder: Path, runs: RunTable, shown: str, border: Border) -> "list[LogFile]":
     """Return the logs that there are, in the order of the runs.
 
-    Runs without a named one have ``logs/<run_id>.csv`` or of another format; what is missing or named twice is a fault.
+    Without a name it is ``logs/<run_id>.csv`` or of another format; a missing one, or one named twice, is a fault.
     Raises BadFileError where a path leads out of the folder.
     """
     plain, suffixes = _plain_logs(folder), READERS if (folder / "logs").exists() else ()
@@ -105,12 +105,12 @@ def read_log(path: Path, shown: str, border: Border, raw: RawTable | None = None
     return columns
 
 
-#: steps of a reference that it does not take at once
+#: steps that a reference does not take at once
 _LOST_STEPS: Final = 10.0
 
 
 def omit_lost_frames(columns: dict[str, FloatArray], names: Sequence[str], shown: str, border: Border) -> None:
-    """Empty poses, in place, that are exactly zero after one far away: a tracker that sees nothing writes these.
+    """Empty poses, in place, of zero after one far away: a tracker that sees nothing writes these.
 
     `names`: of the pose, x and y first; without two of them nothing changes.
     """
@@ -140,7 +140,7 @@ def in_log(name: str) -> bool:
 def add_recognised(
     columns: dict[str, FloatArray], raw: RawTable, shown: str, border: Border, mapped: Collection[str] = ()
 ) -> str:
-    """Add the columns that calib knows by their names, in SI units; return the source of the times.
+    """Add the columns of known names, in SI units; return the source of the times.
 
     Raises BadFileError where two columns mean the same.
 
@@ -177,7 +177,7 @@ def from_first_sample(columns: dict[str, FloatArray], shown: str, border: Border
 
 
 def log_column(name: str) -> Recognised:
-    """Return what a log's column is, by its whole name or, in a recording, the part after stream or group.
+    """Return what a log's column is, by its whole name or the part after stream or group.
 
     `name`: ``counts_left``, ``Encoder/counts_left`` or ``/wheels:counts_left``.
     """
@@ -198,7 +198,7 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
             expected = f"t_s with {' or '.join(' and '.join(names) for names in WHEEL_SETS)}"
             remedy = "name the columns so in the header line; a unit may differ if it is named (t_ms)"
             raise BadFileError(shown, "no such column", expected, remedy, row=1, column=name)
-        # one pass: the sum is a number only without a gap
+        # one pass: the sum is NaN with a gap
         if np.isnan(columns[name].sum()) and len(gaps := np.flatnonzero(np.isnan(columns[name]))):
             remedy = "remove the row; a gap in time is found and said"
             row = int(line[gaps[0]])
@@ -211,8 +211,8 @@ def refuse_incomplete(columns: Mapping[str, FloatArray], shown: str, line: IntAr
 def detect_wrap_bits(counts: FloatArray, offsets: IntArray, time_s: FloatArray | None = None) -> int | None:
     """Find the width of a counter that overflows inside the logs.
 
-    All counts lie in one span of the counter, and each jump, undone, is a step like the others, as a reset is not. For
-    shapes see `unwrap`.
+    All counts lie in one span, and each jump, undone, is a step like the others, as a reset is not. Shapes: see
+    `unwrap`.
     """
     if not len(counts) or np.isnan(counts).all():
         return None
@@ -286,7 +286,7 @@ class LogStack:
     def finished(self, encoder: Encoder, names: Mapping[int, tuple[str, str]], border: Border) -> Logs:
         """Return all runs' logs, end to end, their counters' overflow undone; the stack is empty afterwards.
 
-        Without ``wrap_bits`` overflows are looked for; `names`: run id and name of the log, for messages.
+        Without ``wrap_bits`` overflows are looked for; `names`: run id and log, for messages.
         """
         offsets = np.concatenate(([0], np.cumsum(self._lengths))).astype(np.int64)
         columns = LogColumns(self._size, len(self._columns))
@@ -294,7 +294,7 @@ class LogStack:
             if (column := self._columns.pop(name, None)) is None:
                 continue
             column.resize(self._size, refcheck=False)
-            # no wheel is steered half a turn between two samples: the sensor starts again at zero
+            # no wheel steers half a turn between samples: the sensor restarts at zero
             jumps = name == "steer_rad" and bool((np.abs(_steps(column, offsets)) > np.pi).any())
             if jumps and np.nanmin(column) >= 0.0 and np.nanmax(column) <= FULL_TURN_RAD:
                 column = np.where(column > np.pi, column - 2.0 * np.pi, column)
@@ -312,16 +312,16 @@ class LogStack:
         return Logs(offsets=offsets, columns=columns)
 
 
-#: columns, or why a log cannot be used; notes; the SHA-256 of the file's bytes, empty where it cannot be read
+#: columns, or why a log cannot be used; notes; SHA-256 of the file, empty where unreadable
 _ReadLog = tuple[Mapping[str, FloatArray] | BadFileError, Sequence[Note], str]
 
 
-#: parsers and hashes release the interpreter; beyond some threads only what holds it is left
+#: parsers and hashes release the interpreter; more threads wait for what holds it
 MOST_THREADS: Final = 8
-#: smaller logs are parsed together, by two threads: what holds the interpreter would block more
+#: smaller logs are parsed together, by two threads: more would wait for the interpreter
 LARGE_BYTES: Final = 512 << 10
 TOGETHER: Final = 16
-#: where all are fewer bytes, numpy reads each before the parser of many is imported
+#: fewer bytes in all are read by numpy, without importing the parser of many
 MANY_BYTES: Final = 16 << 20
 
 
@@ -370,7 +370,7 @@ def _read_some(files: Sequence[LogFile], *, together: bool) -> list[_ReadLog]:
     logs: list[_ReadLog] = []
     for (_, _, path, name), (state, sha256), raw in zip(files, states, raws, strict=True):
         own = Border(lenient=False)
-        # a file that changed while read is not named under its earlier hash
+        # a file may have changed while read
         try:
             columns = read_log(path, name, own, raw)
             logs.append((columns, own.notes, sha256 if _state(path) == state else _sha256(path)))

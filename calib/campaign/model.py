@@ -41,8 +41,8 @@ NUMERIC_COLUMNS: Final = (
     *(*REFERENCE_POSE, "gyro_theta_rad", "gyro_sigma_rad", *SIMULATED_POSE, "sim_distance_m"),
 )
 
-#: what a log needs: both rear wheels, the driven front wheel and steering, four (mecanum), or the rear axle and
-#: steering (Ackermann); of the rear as counts or speeds
+#: what a log needs: both rear wheels, front wheel and steering, four (mecanum), or rear axle and steering (Ackermann);
+#: of the rear as counts or speeds
 WHEEL_SETS: Final = (
     ("counts_left", "counts_right"),
     ("steer_rad", "counts_front"),
@@ -75,7 +75,7 @@ class Note:
 
     @staticmethod
     def of(where: str, text: str, code: str, level: str = "suspicious", run_id: str = "") -> "Note":
-        """Return a note, its text made one line where it is written over several; see `Note`."""
+        """Return a note, its text on one line; see `Note`."""
         return Note(level, where, re.sub(r"\n\s*", " ", text) if "\n" in text else text, code, run_id)
 
     @property
@@ -96,7 +96,7 @@ class Border:
         self.notes.append(Note.of(where, text, code, level, run_id))
 
     def recognised(self, where: str, match: Recognised) -> None:
-        """Note what is to be said of a column's name or unit."""
+        """Note what is said of a column's name or unit."""
         if match.said:
             self.say(f"{where}, column {match.found}", match.said, "unit" if match.factor != 1.0 else "name")
 
@@ -116,7 +116,7 @@ class RunTable:
     labels: Mapping[str, StrArray]
     #: numeric columns present, in SI units, NaN where empty, shape (n_runs,)
     numbers: Mapping[str, FloatArray]
-    #: rows flagged out; they stay in the table, shape (n_runs,)
+    #: rows flagged out, which stay, shape (n_runs,)
     excluded: BoolArray
     #: of each row in the file, from 1, header included, shape (n_runs,)
     line: IntArray
@@ -168,7 +168,7 @@ class RunTable:
 
 
 def stacked(tables: Sequence[RunTable]) -> RunTable:
-    """Return the runs of several tables, one after another; columns that one lacks are empty there."""
+    """Return the runs of several tables in order; missing columns are empty."""
 
     def whole(names: Iterable[str], column: Callable[[RunTable, str], NDArray[Any]]) -> dict[str, NDArray[Any]]:
         return {name: np.concatenate([column(runs, name) for runs in tables]) for name in dict.fromkeys(names)}
@@ -186,16 +186,16 @@ HELD_BYTES: Final = 128 << 20
 
 
 class LogColumns(Mapping[str, FloatArray]):
-    """Columns of logs end to end, shape (n_samples,) each: in memory, or large ones in a temporary file.
+    """Columns of logs end to end, shape (n_samples,) each: in memory, large ones in a temporary file.
 
-    The file is read anew each time: no more is held than was asked for. `n_columns` may come.
+    The file is read anew each time, so that no more is held. `n_columns` may come.
     """
 
     def __init__(self, n_samples: int, n_columns: int) -> None:
         self._n_samples, self._file = n_samples, -1
         self._columns: dict[str, FloatArray | int] = {}
         if 8 * n_samples * n_columns > HELD_BYTES and hasattr(os, "preadv"):
-            # columns are held where nothing can be written
+            # held where nothing can be written
             with suppress(OSError), TemporaryFile() as file:
                 self._file = os.dup(file.fileno())
                 finalize(self, os.close, self._file)
@@ -267,7 +267,7 @@ class Logs:
         return {name: column for name, column in cut.items() if len(column) and not np.isnan(column).all()}
 
     def each(self, at_least: int = 2, *needed: str) -> Iterator[tuple[int, dict[str, FloatArray]]]:
-        """Yield the number and the columns of each run whose log has `at_least` samples and the columns `needed`."""
+        """Yield number and columns of each run whose log has `at_least` samples and the columns `needed`."""
         known = self.columns.keys() >= set(needed)
         logs = ((run, self.of(run)) for run in np.flatnonzero(known & (self.lengths >= at_least)).tolist())
         return ((run, log) for run, log in logs if log.keys() >= set(needed))
@@ -346,7 +346,7 @@ class Campaign:
         return self.runs.frame()
 
     def log(self, run_id: str) -> "DataFrame":
-        """Return a run's log as a pandas table, a row a sample: seconds from the run's start, unwrapped counts.
+        """Return a run's log as a pandas table, a row a sample: seconds from its start, unwrapped counts.
 
         Raises BadInputError without such a run or log.
         """

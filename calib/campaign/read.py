@@ -23,11 +23,11 @@ from calib.types import FloatArray, IntArray, Progress, silent
 from calib.vehicle import Vehicle, wheel_loads_N
 
 SETTINGS: Final = "campaign.toml"
-#: a total and its run's log may differ by so many counts: they are not read at the same instant
+#: counts between a total and its log: not read at the same instant
 _SAME_COUNTS: Final = 50.0
 _COUNTS: Final = ("counts_left", "counts_right")
 GYRO: Final = "gyro_z_radps"
-#: a run's turn by the gyro, and its standard uncertainty without the gyro's scale
+#: turn by the gyro, and its standard uncertainty without the scale
 GYRO_TURN: Final = "gyro_theta_rad"
 GYRO_SIGMA: Final = "gyro_sigma_rad"
 #: a vehicle turns before the first count and rocks after the last
@@ -36,9 +36,9 @@ SETTLING_S: Final = 0.1
 CLOSED: Final = "closed"
 #: a shorter standstill has too few samples for a bias
 STANDSTILL_S: Final = 0.5
-#: a closed loop whose wheels turn further off whole turns is doubtful
+#: a closed loop further off whole turns is doubtful
 WHOLE_TURN_RAD: Final = 0.8
-#: a first pose so far from zero, in stated uncertainties, was not taken in the frame of the run's start
+#: a first pose so far from zero, in stated uncertainties, is not in the start frame
 MAP_START_SIGMAS: Final = 8.0
 MAP_START_M, MAP_START_RAD = 0.01, 0.02
 
@@ -48,9 +48,8 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
 
     `folder`: holds ``campaign.toml``, ``runs.csv`` (or ``.xlsx``, ``.parquet``) and the logs that the table names, or
     ``logs/<run_id>.csv``; `lenient`: keep faults of single runs (a run id twice, a log missing or damaged) as notes of
-    level ``wrong`` instead of raising the first. Wheel loads that the table lacks are computed from the payload (Eqs 1
-    and 2), counts and distance are taken from the logs; every such step is in ``notes``. Raises BadFileError where
-    something cannot be used; the message names file, row and column.
+    level ``wrong``. Missing wheel loads are computed from the payload (Eqs 1 and 2), counts and distance taken from the
+    logs, all in ``notes``. Raises BadFileError, which names file, row and column.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -87,8 +86,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
 def loads_from_payload(vehicle: Vehicle, runs: RunTable) -> tuple[FloatArray, FloatArray]:
     """Return left and right wheel load of each run from its payload, shape (n_runs,) each, in N.
 
-    NaN where a payload or its place is not given. A payload of 0 needs no place; without ``payload_y_m`` it is on the
-    centre line.
+    NaN without payload or place. A payload of 0 needs no place; without ``payload_y_m`` it is on the centre line.
     """
     mass, x, y = (runs.number(name) for name in ("payload_kg", "payload_x_m", "payload_y_m"))
     none = mass == 0
@@ -115,7 +113,7 @@ def _say_look_alikes(folder: Path, shown: str, border: Border) -> None:
 
 
 def completed(campaign: Campaign, shown: str, border: Border) -> Campaign:
-    """Return a campaign with what its run table lacks, from logs and payload, and overflows of totals undone."""
+    """Return a campaign with what its run table lacks, from logs and payload, overflows of totals undone."""
     runs, logs = campaign.runs, campaign.logs
     numbers = dict(runs.numbers)
 
@@ -199,7 +197,7 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
         border.say(f"logs, column {GYRO}", text, "gyro_bias", level="suspicious")
         return campaign
     sessions = runs.label("session")
-    # a bias wanders from run to run: its scatter counts where a run has no standstill of its own
+    # the bias wanders: its scatter counts where a run has no standstill
     wander = float(np.std([rates.mean() for rates in known.values()], ddof=1)) if len(known) > 1 else 0.0
     for run in measured:
         alike = [one for other, one in known.items() if sessions[other] == sessions[run]] or list(known.values())
@@ -214,7 +212,7 @@ def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:
 
 
 def rates_at_rest(campaign: Campaign, run: int) -> FloatArray:
-    """Return what a run's gyro reads while no wheel counts, shape (n,), none without a standstill of `STANDSTILL_S`."""
+    """Return what a run's gyro reads at a standstill of `STANDSTILL_S`, shape (n,), else none."""
     log = campaign.logs.of(run)
     wheels = [log[name] for name in WHEEL_COLUMNS[counted_source(campaign)] if name in log]
     if GYRO not in log or not wheels:
@@ -261,7 +259,7 @@ def _with_closed_loops(campaign: Campaign, shown: str, border: Border) -> Campai
 
 
 def poses_are_in_a_map(campaign: Campaign) -> bool:
-    """Return whether the logs' poses stand in one frame for all runs: so stated, or runs do not begin at zero."""
+    """Return whether the logs' poses stand in one frame: so stated, or runs do not begin at zero."""
     reference, logs = campaign.reference, campaign.logs
     if reference.frame is not None:
         return reference.frame == "map"
@@ -270,7 +268,7 @@ def poses_are_in_a_map(campaign: Campaign) -> bool:
         return False
     far = max(MAP_START_M, MAP_START_SIGMAS * reference.sigma_xy_m)
     bent = max(MAP_START_RAD, MAP_START_SIGMAS * reference.sigma_theta_rad)
-    # a reference that only begins on the way says nothing of the run's start
+    # a reference may begin on the way only
     first = logs.offsets[:-1][np.diff(logs.offsets) > 0]
     turned = np.zeros(len(first)) if heading is None else np.nan_to_num(np.abs(heading[first]))
     away = np.hypot(x[first], y[first])
@@ -288,10 +286,10 @@ def _turn_by_wheels(campaign: Campaign) -> FloatArray:
 
 
 def read_or_ingest(path: Path, *, mapping: Path | None, lenient: bool = False, progress: Progress = silent) -> Campaign:
-    """Read a campaign folder, or make a campaign of a recording or table as `ingest` would, and read that.
+    """Read a campaign folder, or a campaign made of a recording or table as by `ingest`.
 
-    ``root`` is None where it was made on the way. Raises BadInputError where a campaign folder is given with a mapping,
-    or the file cannot be used.
+    ``root`` is None where it was made. Raises BadInputError for a campaign folder with a mapping, or a file that cannot
+    be used.
     """
     is_campaign = path.is_dir() and not is_bag_folder(path) and ((path / SETTINGS).exists() or mapping is None)
     if is_campaign and mapping is not None:
@@ -311,15 +309,15 @@ def read_or_ingest(path: Path, *, mapping: Path | None, lenient: bool = False, p
 
 
 def looks_ahead(distance_m: FloatArray, x_m: FloatArray, y_m: FloatArray) -> bool:
-    """Return whether distances (n_runs,) are those along the start heading, by their end poses, NaN where unknown.
+    """Return whether distances (n_runs,) are along the start heading, by end poses, NaN where unknown.
 
-    Else, and where no end pose tells, they are those of the chord to the end point.
+    Else, and where no end pose tells, they are chords to the end point.
     """
     known = np.isfinite(distance_m + x_m + y_m)
     if not known.any():
         return False
     along, chord = np.abs(x_m[known]), np.hypot(x_m[known], y_m[known])
     off_along, off_chord = off = np.abs(distance_m[known] - np.stack([along, chord]))
-    # the runs that tell them apart count most, none as a blunder
+    # runs that tell them apart count most, none as a blunder
     off_along, off_chord = np.square(np.minimum(off, 3.0 * np.median(off.max(axis=0)))).sum(axis=1)
     return bool(off_along <= off_chord)

@@ -1,4 +1,4 @@
-"""What `campaign.toml` says: instruments, odometry, the simulator's model; and the columns of the run table."""
+"""What `campaign.toml` says: instruments, odometry, the simulator's model; the run table's columns."""
 
 import math
 import re
@@ -147,13 +147,13 @@ class Odometry:
 #: columns of the run table that are often weighed in kilograms
 WHEEL_LOADS: Final = ("load_left_N", "load_right_N")
 _BRACKETS: Final = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
-# units of further columns; without one-letter ones, since names end in letters
+# no one-letter units, since names end in letters
 _FURTHER: Final = frozenset({"mm", "cm", "km", "um", "deg", "mrad", "kN", "daN", "ms", "us", "ns", "kmh", "mmps"})
 
 
 @dataclass(frozen=True, slots=True)
 class Recognised:
-    """A column found: its name in the file, its name in calib, the conversion, and what to say about it.
+    """A column found: its names in file and calib, the conversion, and what to say.
 
     ``value = factor * cell + offset``; `unitless`: the known column that a name without a unit might have meant.
     """
@@ -167,7 +167,7 @@ class Recognised:
 
 
 def spelled(column: str) -> str:
-    """Return a column name with underscores for blanks and a bracketed unit as its suffix."""
+    """Return a name with underscores for blanks and a bracketed unit as suffix."""
     name, (stem, inside) = column.strip(), bracketed(column)
     if inside is not None:
         unit = unit_named(inside)
@@ -177,7 +177,7 @@ def spelled(column: str) -> str:
 
 
 def bracketed(name: str) -> tuple[str, str | None]:
-    """Return a column's name without the brackets at its end, and their content, or None."""
+    """Return a column's name without brackets at its end, and their content or None."""
     match = _BRACKETS.fullmatch(name.strip())
     return (match[1], match[2]) if match else (name.strip(), None)
 
@@ -186,11 +186,10 @@ def bracketed(name: str) -> tuple[str, str | None]:
 def recognise(column: str, known: tuple[str, ...], *, further: bool = True) -> Recognised:
     """Match a column name against the known ones.
 
-    `column`: as ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit suffixes; `further`: convert an
-    unknown name that ends in a unit (``static_radius_mm``) to its SI name, too. ``name`` is `column` (without blanks)
-    where nothing matches.
+    `column`: as ``distance [mm]`` or ``Load_Left_kN``; `known`: names with calib's unit suffixes; `further`: convert
+    also unknown names that end in a unit (``static_radius_mm``). ``name`` is `column` (stripped) where nothing matches.
     """
-    # a fleet's tables, and a campaign's logs, repeat the same names
+    # names repeat in fleets and logs
     if (name := column.strip()) in known:
         return Recognised(column, name)
     clean = spelled(name)
@@ -221,14 +220,14 @@ def recognise(column: str, known: tuple[str, ...], *, further: bool = True) -> R
 _WORDS: Final = {"l": "left", "r": "right", "temp": "temperature", "dist": "distance"} | dict.fromkeys(
     ("cnt", "count"), "counts"
 )
-#: words for how or where a value was had, or of what, and not what it is
+#: words for how, where or of what a value was had
 _BESIDE: Final = frozenset({"weighed", "measured", "wheel", "mean", "avg", "hall", "reported", "raw", "total", "value"})
 #: letters of a word of five that one slip leaves in place
 _TYPED: Final = 0.8
 
 
 def look_alike(name: str, missing: Iterable[str]) -> str | None:
-    """Return the known column, of those missing, that an unknown name seems to mean; None for most names."""
+    """Return the missing known column that a name seems to mean; None for most names."""
     words = _words(name)
     likely = (wanted for wanted in missing if len(words) == len(_words(wanted)))
     return next((wanted for wanted in likely if all(map(_mistyped, words, _words(wanted)))), None)
@@ -247,7 +246,7 @@ def _words(name: str) -> tuple[str, ...]:
 def converted(values: FloatArray, factor: float, offset: float = 0.0) -> FloatArray:
     """Return ``factor * values + offset`` as in decimal arithmetic: 0.4348 kN is 434.8 N, not 434.79999999.
 
-    Rounded to 15 significant digits, more than any decimal number in a file has.
+    Rounded to 15 significant digits, more than files have.
     """
     if factor == 1.0 and not offset:
         return values

@@ -1,4 +1,4 @@
-"""``campaign.toml``, read (defaults, every value checked, units in key names converted and noted) and written."""
+"""``campaign.toml``, read (defaults, values checked, units in key names converted and noted) and written."""
 
 import datetime
 import json
@@ -56,8 +56,8 @@ class _Heading(BaseModel):
 def read_settings(path: Path, shown: str) -> Campaign:
     """Read and check ``campaign.toml``; returns a campaign without runs.
 
-    Missing keys have defaults; without ``[model]`` the simulator believes in the nominal vehicle. Raises BadFileError
-    where the file is missing, is no TOML, or holds a value of the wrong kind or range.
+    Missing keys have defaults; without ``[model]`` it is the nominal vehicle. Raises BadFileError where the file is
+    missing, is no TOML, or holds a value of the wrong kind or range.
     """
     return parse_settings(load_toml(path, shown), shown, path.parent.resolve().name)
 
@@ -167,7 +167,7 @@ def _known(section: str) -> tuple[str, ...]:
 def _refused(
     error: ValidationError, shown: str, section: str, table: Mapping[str, Any], names: Mapping[str, str] | None = None
 ) -> BadFileError:
-    # names: key as calib has it -> as in the file
+    # names: calib's key -> as in the file
     fault = error.errors(include_url=False)[0]
     name, limits = str(fault["loc"][0]), fault.get("ctx", {})
     key = (names or {}).get(name, name)
@@ -231,7 +231,7 @@ def _not_stated(document: Mapping[str, Any]) -> list[str]:
 def load_toml(path: Path, shown: str, *, remedy: str = "") -> dict[str, object]:
     """Return a TOML file as read, within the sizes of `calib.errors`; errors name the place.
 
-    `remedy`: what to do without a file; by default, how to make a campaign.
+    `remedy`: what to do without a file.
     """
     if not path.is_file():
         actual, expected = "a folder" if path.is_dir() else "no such file", "a settings file"
@@ -264,7 +264,7 @@ _WHERE_GIVEN: Final = frozenset({"drive", "kind", "sensor_x_m", "sensor_y_m", "s
 def to_toml(document: Mapping[str, Any]) -> str:
     """Return `document` as TOML: plain keys first, then one section a nested mapping.
 
-    Raises BadInputError where a value cannot be written (a number that is not finite, None, an unknown type).
+    Raises BadInputError where a value cannot be written (not finite, None, an unknown type).
     """
     lines: list[str] = []
     _section(document, (), lines)

@@ -1,6 +1,6 @@
-"""Which wheels drive a vehicle's odometry, and the two wheels on one axle that they amount to.
+"""The wheels that drive a vehicle's odometry, and the two on one axle that they amount to.
 
-All that integrates two wheels on one axle (diagnosis, replay, the runtime's check) reads others through `on_one_axle`.
+Diagnosis, replay and the runtime's check read others than two on an axle through `on_one_axle`.
 """
 
 from collections.abc import Mapping
@@ -31,11 +31,11 @@ SOURCE_NAMES: Final = {
     "wheels": "four wheels",
     "shaft": "the drive shaft and the steering",
 }
-#: column of a log in memory: way to the left since the run's start that mecanum wheels rolled or an axle slipped, m
+#: column in memory: way to the left since the start that mecanum wheels rolled or an axle slipped, m
 ASIDE: Final = "aside_m"
-#: no wheel is driven slower, by 0.1 m a millimetre in a second
+#: no wheel is driven slower: of 0.1 m, 1 mm/s
 SLOWEST_RADPS: Final = 0.01
-#: what the axle's middle moves ahead and to the left (m) and turns (rad) in each step
+#: motion of the axle's middle ahead and to the left (m) and turn (rad) in each step
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 
 
@@ -56,17 +56,17 @@ def odometry_source(campaign: Campaign) -> OdometrySource:
 
 
 def without_rear_wheels(campaign: Campaign) -> bool:
-    """Return whether the odometry runs on other wheels than two on an axle, and no rear wheel is counted by itself."""
+    """Return whether the odometry runs on others than two on an axle, and no rear wheel is counted by itself."""
     return odometry_source(campaign) != "rear" and _lacks_rear(campaign)
 
 
 def counted_source(campaign: Campaign) -> str:
-    """Return the source of `WHEEL_COLUMNS` whose counts there are: the rear wheels' wherever they are counted."""
+    """Return the source of `WHEEL_COLUMNS` that is counted: the rear wheels wherever they are."""
     return odometry_source(campaign) if _lacks_rear(campaign) else "rear"
 
 
 def on_its_source_alone(campaign: Campaign) -> Campaign:
-    """Return the campaign without rear wheels' counts where its odometry is said to run on others."""
+    """Return the campaign without rear wheels' counts where its odometry runs on others."""
     if campaign.odometry.source in (None, "rear"):
         return campaign
     columns, numbers = (
@@ -88,10 +88,8 @@ def _lacks_rear(campaign: Campaign) -> bool:
 def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campaign:
     """Return the campaign with the counts that two wheels on one axle would have had.
 
-    What mecanum wheels roll to the side is the column `ASIDE`.
-
-    `model`: the campaign's own by default; its `front` or `mecanum` part takes the place of the vehicle's nominal
-    lengths. Raises BadInputError where a mecanum vehicle does not say its l + w.
+    What mecanum wheels roll to the side is the column `ASIDE`. `model`: the campaign's own by default; its `front` or
+    `mecanum` replaces the vehicle's nominal lengths. Raises BadInputError where a mecanum vehicle lacks its l + w.
     """
     if not without_rear_wheels(campaign):
         return campaign
@@ -102,7 +100,7 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
     aside = np.full(n, np.nan)
     if source in STEERED:
         front = model.steered(campaign.vehicle)
-        # a count of the wheels that are confounded with it is as fine as one of the wheel that is counted
+        # counts as fine as those of the counted wheel
         per_m = counts_per_rev(encoder, source)[0] / (2 * np.pi * front.radius_m)
         encoder = replace(
             encoder,
@@ -128,7 +126,7 @@ def on_one_axle(campaign: Campaign, model: OdometryModel | None = None) -> Campa
 
 
 def turn_between_samples_rad(campaign: Campaign) -> FloatArray:
-    """Return how uncertain the turn of each run is, (n_runs,): it may be steered at any moment between two samples.
+    """Return how uncertain the turn of each run is, (n_runs,): steered at any moment between two samples.
 
     A jump is uniform over a step: a twelfth of its square. It shows as two second differences.
     """
@@ -175,8 +173,8 @@ def counts_per_rev(encoder: Encoder, source: str) -> tuple[float, ...]:
 def mecanum_model(campaign: Campaign, model: OdometryModel | None = None) -> MecanumModel:
     """Return four mecanum wheels as a model, the campaign's own by default, has them.
 
-    Else they have the mean of its radii, and its l + w differs from the vehicle's as its track does. Raises
-    BadInputError where the vehicle does not say l + w.
+    Else the mean of its radii, and l + w that differs from the vehicle's as its track does. Raises BadInputError where
+    the vehicle lacks l + w.
     """
     model, vehicle = model or campaign.model, campaign.vehicle
     if model.mecanum is not None:
@@ -188,13 +186,13 @@ def mecanum_model(campaign: Campaign, model: OdometryModel | None = None) -> Mec
 
 
 def front_motion(front: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return what the axle's middle moves ahead (m) and turns (rad) in each step of the front wheel (Eqs 12 to 14).
+    """Return the axle's motion ahead (m) and turn (rad) in each step of the front wheel (Eqs 12 to 14).
 
-    `rolled_rad` (shape (n,)): since the sample before; `steer_rad` (shape (n,)): at the samples, as the sensor says it.
+    `rolled_rad` (shape (n,)): since the sample before; `steer_rad` (shape (n,)): at the samples, by the sensor.
     """
     angle = front.scale * steer_rad + front.zero_rad
     before = np.concatenate((angle[:1], angle[:-1]))
-    # means over the ends of a step: over a whole turn their errors cancel, wherever the angle begins to change
+    # means over a step's ends: over a whole turn their errors cancel
     cosine = 2.0 / (1.0 / np.cos(before) + 1.0 / np.cos(angle))
     ahead = front.radius_m * rolled_rad * cosine
     return ahead, 0.5 * ahead * (np.tan(before) + np.tan(angle)) / front.wheelbase_m
@@ -224,7 +222,7 @@ def lengthening(over: FloatArray) -> FloatArray:
 
 
 def shaft_motion(model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArray, t_s: FloatArray) -> Motion:
-    """Return what the rear axle's middle moves ahead and to the left (m) and turns (rad) in each step, Ackermann drive.
+    """Return the rear axle's motion ahead and to the left (m) and turn (rad) in each step, Ackermann drive.
 
     At the curvature tan(angle) / wheelbase, less by the model's slip. Shapes as for `front_motion`.
     """
@@ -242,10 +240,10 @@ SPEEDS: Final = ("speed_left_mps", "speed_right_mps", "speed_rear_mps", "v_mps",
 
 
 def with_counts(logs: Logs, encoder: Encoder, vehicle: Vehicle, border: Border) -> Logs:
-    """Return the logs with the counts that the logged speeds amount to, by trapezoids; logged counts are kept.
+    """Return the logs with counts of the logged speeds, by trapezoids; logged counts are kept.
 
-    ``v_mps`` and ``omega_radps`` are the speeds v -+ omega track / 2 of the wheels. `vehicle`: by whose nominal radius
-    and track it computed its speeds; `border` takes what was done.
+    ``v_mps`` and ``omega_radps`` are the speeds v -+ omega track / 2 of the wheels. `vehicle`: its nominal radius and
+    track gave the speeds; `border` takes what was done.
     """
     columns = dict(logs.columns)
     sides = [side for side in ("left", "right", "rear") if f"speed_{side}_mps" in columns]
@@ -275,17 +273,17 @@ def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
 MAX_WHEEL_DIFFERENCE: Final = 0.02
 #: on a straight line the distances measured and rolled agree to this share
 DISTANCE_AGREEMENT: Final = 0.05
-#: share of the way to which a pair of wheels, a thousandth apart in radius, rolls alike once in fifty times; by floor
-#: and rubber alone those of the smoothest real robot present part by five times more over 40 m
+#: share of the way to which wheels a thousandth apart in radius roll alike once in fifty times; floor and rubber alone
+#: part those of the smoothest real robot by five times more over 40 m
 ALIKE_BY_CHANCE: Final = 2.5e-5
 #: fewer may roll equal wheels by chance
 MIN_GUIDED_RUNS: Final = 5
 
 
 def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray, posed: BoolArray) -> BoolArray:
-    """Return which observations were guided along a line, by what was measured alone, shape (n_obs,) as all.
+    """Return which observations were guided along a line, by measurements alone, shape (n_obs,) as all.
 
-    `path_m`, `apart_m`: what the wheels rolled, and the right one beyond the left; `posed`: with a measured end pose or
+    `path_m`, `apart_m`: what the wheels rolled, and the right beyond the left; `posed`: with a measured end pose or
     heading.
     """
     way = np.abs(path_m)
@@ -298,9 +296,9 @@ def were_guided(distance_m: FloatArray, path_m: FloatArray, apart_m: FloatArray,
 
 
 def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[float, float]) -> bool:
-    """Return whether wheels rolled so alike, run by run, that the vehicle kept them alike itself.
+    """Return whether wheels rolled so alike, run by run, that the vehicle kept them so.
 
-    Led along a line, the wheels part by their radii. Where counting is coarser than that, runs are taken as guided.
+    Led along a line, they part by their radii. Where counting is coarser, runs are taken as guided.
     """
     if len(apart_m) < MIN_GUIDED_RUNS:
         return False
@@ -311,7 +309,7 @@ def steered_by_counts(apart_m: FloatArray, way_m: FloatArray, count_m: tuple[flo
 
 
 def steered_itself_m(campaign: Campaign) -> float:
-    """Return how far the wheels parted, root mean square, where the vehicle kept them alike itself, else NaN.
+    """Return how far the wheels parted, root mean square, where the vehicle kept them alike, else NaN.
 
     By runs along a line whose heading nothing measured, and equal radii or those of the model.
     """
@@ -324,7 +322,7 @@ def steered_itself_m(campaign: Campaign) -> float:
         left, right = runs.number("counts_left") * count_m[0], runs.number("counts_right") * count_m[1]
         way, apart = 0.5 * (left + right), right - left
         guided = were_guided(runs.number("distance_m"), way, apart, np.isfinite(runs.number("ref_theta_rad")))
-        # one reading written for both wheels, a speed, says nothing of how it was steered
+        # one speed written for both wheels says nothing of steering
         if apart[guided].any() and steered_by_counts(apart[guided], way[guided], count_m):
             return float(np.sqrt(np.mean(apart[guided] ** 2)))
     return np.nan

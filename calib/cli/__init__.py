@@ -1,7 +1,6 @@
 """The command line: one file a group of commands that parse, call and show, imported when one is called.
 
-Here their list, the options that they share, and blocks on the terminal: as wide as it is, coloured only where it is
-one.
+Here their list, shared options, and blocks on the terminal: as wide as it is, coloured only where it is one.
 """
 
 import difflib
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
     from calib.reporting import Block, Section
 
 
-#: command or group -> its line in ``calib --help``, in this order, so that the list of commands imports none of them
+#: command or group -> its line in ``calib --help``, in this order; the list imports none of them
 SUMMARIES: Final = {
     "check": "Say what a campaign holds and what is wrong.",
     "init": "Make an empty campaign to fill in.",
@@ -66,7 +65,7 @@ GROUPS: Final = {
 COMMANDS: Final = tuple(name for name in SUMMARIES if name not in GROUPS)
 
 
-#: commands of one word that share a module, where each is the function that bears its name
+#: commands of one word that share a module, each the function of its name
 TOGETHER: Final = {
     **dict.fromkeys(("check", "deviation", "fleet", "init", "ingest", "loads"), "campaigns"),
     **dict.fromkeys(("fit", "geometry", "export", "report"), "fit"),
@@ -82,7 +81,7 @@ def module_of(name: str) -> str:
 
 
 def function_of(name: str) -> Callable[..., Any]:
-    """Return what a command calls: the function that bears its name, or ``run`` of a module of its own."""
+    """Return what a command calls: the function of its name, or ``run`` of its own module."""
     function = name.rpartition(" ")[2] if name in TOGETHER or " " in name else "run"
     called: Callable[..., Any] = getattr(importlib.import_module(module_of(name)), function)
     return called
@@ -104,7 +103,7 @@ def with_default(arguments: Sequence[str]) -> list[str]:
 
 #: what the command at work has written so far, for the line after an interruption
 KEPT: Final[ContextVar[list[str]]] = ContextVar("kept")
-#: whether the user has interrupted the command at work, also where a library took that for an error of its own
+#: whether the user has interrupted the command, also where a library took that for its own error
 INTERRUPTED: Final[ContextVar[Callable[[], bool]]] = ContextVar("interrupted")
 
 #: widest line, so that sentences can be read on a wide screen
@@ -122,7 +121,7 @@ _ASCII: Final = str.maketrans(
 
 #: C0 and C1 controls, the line's own end not among them; shown as escapes
 _CONTROLS: Final = {code: f"\\x{code:02x}" for code in (*range(32), *range(127, 160))}
-#: overrides of direction, separators that break lines, invisible marks, half pairs of names that are no UTF-8
+#: overrides of direction, line separators, invisible marks, half pairs of names that are no UTF-8
 _STEERING: Final = re.compile("[\u200b\u200e\u200f\u2028-\u202e\u2060\u2066-\u2069\ufeff\ud800-\udfff]")
 
 
@@ -224,7 +223,7 @@ def show(blocks: "Iterable[Block | Section]") -> None:
 
 
 def answer(document: Any, blocks: "Iterable[Block | Section]") -> None:
-    """Write a result as JSON where that was asked for; print it unless standard output is the JSON's."""
+    """Write a result as JSON where asked for; print it unless standard output is the JSON's."""
     emit_json(document)
     if not wants_stdout():
         show(blocks)

@@ -53,7 +53,7 @@ def _shared_options() -> list[Any]:
 
 
 class Guarded(TyperCommand):
-    """A command with ``--json`` and ``--force``, whose inputs are never written while it runs."""
+    """A command with ``--json`` and ``--force``, whose inputs are never written."""
 
     def __init__(self, *args: Any, params: list[Any] | None = None, **kwargs: Any) -> None:
         super().__init__(*args, params=[*(params or ()), *_shared_options()], **kwargs)
@@ -65,7 +65,7 @@ class Guarded(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command with its inputs kept, where the JSON can be written."""
-        # where HOME cannot be written, the drawing library works without its cache and need not say so
+        # without a writable HOME the drawing library works without cache and need not say so
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
         _refuse_dash(ctx)
         paths = list(dict.fromkeys(_inputs(ctx.params, OUTPUTS | ALSO.get(str(ctx.info_name), frozenset()))))
@@ -327,10 +327,10 @@ def run(
     may turn that into an error of their own, or let it pass.
     """
     _reopen()
-    # figures go to files only, no matter what window system the environment asks for
+    # figures go to files only, in any environment
     os.environ["MPLBACKEND"] = "agg"
     _heed_date()
-    # thousands of matrices of a few dozen rows: handing each to threads costs more than it saves
+    # thousands of small matrices: threads cost more than they save
     for name in BLAS_THREADS:
         os.environ.setdefault(name, "1")
     kept: list[str] = []

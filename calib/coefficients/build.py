@@ -1,4 +1,4 @@
-"""The coefficient file of a fitted law, or of a geometry estimated with or without loads."""
+"""The coefficient file of a fitted law or a geometry."""
 
 import json
 import math
@@ -31,24 +31,24 @@ from calib.vehicle import Vehicle
 if TYPE_CHECKING:
     from calib.kinematics.result import Geometry
 
-# what a corridor campaign does not measure; the file states each
+# a corridor does not measure these; the file states each
 TRACK_STD_M: Final = 1e-3
 ALONG_M_PER_SQRT_M: Final = 5e-4
 HEADING_RAD_PER_SQRT_M: Final = 5e-4
 COUNT_STD: Final = 1.0 / math.sqrt(12.0)  # a reading is uniform within one count
-# the valid range beyond the loads measured, by their span, and least: weighing scatters by newtons
+# valid range beyond measured loads, by their span, and least: weighing scatters by newtons
 LOAD_MARGIN: Final = 0.01
 MIN_LOAD_MARGIN_N: Final = 1.0
 MAX_STEP_M: Final = 0.5
 MAX_GAP_S: Final = 1.0
 LOAD_TABLE_LINES: Final = 64
-#: a load weighed a hundred times scatters over five standard deviations, each less than what is one load
+#: a load weighed a hundred times scatters over five standard deviations, each below one load's
 LOAD_SCATTER: Final = 4.0
 #: standard deviation of the relative slope where no loads were driven: 1 % per kN
 SLOPE_STD_PER_N: Final = 1e-5
 #: relative standard deviation of a length that was not measured
 NOMINAL_STD: Final = 0.01
-#: source of the odometry -> the radius that both rear wheels have; none of a front wheel's own
+#: source of the odometry -> radius of both rear wheels; none by a front wheel
 WHEEL_RADIUS: Final = {"wheels": "wheel_radius_m", "front": "", "shaft": "rear_radius_m"}
 
 
@@ -57,9 +57,9 @@ def from_fit(
 ) -> CoefficientFile:
     """Return the coefficient file of a fit: its laws, vehicle, encoder and load points.
 
-    `outside`, `created`: see `Header`; `inputs`: path of an input -> its SHA-256; None: those of the fit's provenance.
-    Raises BadInputError where the fit lacks vehicle and encoder, or its provenance is damaged; ImplausibleError where
-    it is beyond the bounds of its vehicle and the user does not accept that.
+    `outside`, `created`: see `Header`; `inputs`: path of an input -> its SHA-256; None: by the fit's provenance. Raises
+    BadInputError where the fit lacks vehicle and encoder, or its provenance is damaged; ImplausibleError where it is
+    beyond the vehicle's bounds and not accepted.
     """
     if fit.implausible and not fit.accepted:
         raise ImplausibleError(fit.name, fit.implausible)
@@ -90,8 +90,8 @@ def from_fit(
 def load_points(load_left_N: ArrayLike, load_right_N: ArrayLike) -> dict[str, tuple[float, float]]:
     """Return the load points of runs: name -> mean wheel loads left and right in N.
 
-    Loads of a wheel that follow each other within `SAME_LOAD` of the lowest are one, weighed several times; where they
-    go on so beyond `LOAD_SCATTER` times that, those equal to a newton. Empty beyond `LOAD_TABLE_LINES`: none is meant.
+    A wheel's loads that follow each other within `SAME_LOAD` of the lowest are one, weighed several times; beyond
+    `LOAD_SCATTER` times that, those equal to a newton. Empty beyond `LOAD_TABLE_LINES`: none is meant.
     """
     pairs = np.column_stack([load_left_N, load_right_N])
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
@@ -116,7 +116,7 @@ class Header:
     name: str
     #: whether a program made the measurements
     simulated: bool
-    #: what the vehicle does with a load that was not measured: ``refuse`` or ``clamp``
+    #: for a load that was not measured: ``refuse`` or ``clamp``
     outside: Outside = "refuse"
     created: str | None = None  #: YYYY-MM-DD
     #: path of an input -> its SHA-256
@@ -147,8 +147,8 @@ def from_law(
 ) -> CoefficientFile:
     """Return the coefficient file of a law, a vehicle and an encoder; see `from_fit`.
 
-    `load_table`: see `load_points`, without lines outside the valid range; `load_margin_N`: how far that reaches beyond
-    the loads measured; None: by `LOAD_MARGIN`.
+    `load_table`: see `load_points`, without lines outside the valid range; `load_margin_N`: its reach beyond measured
+    loads; None: by `LOAD_MARGIN`.
     """
     wheels = WheelsSection(left=_wheel(law.left, load_margin_N), right=_wheel(law.right, load_margin_N))
     return sealed(
@@ -189,7 +189,7 @@ def _wheel(law: WheelLaw, load_margin_N: float | None) -> WheelSection:
         law,
         **sections.variances(law.covariance),
         strata=None if law.strata is None else sections.StrataSection.of_estimate(law.strata),
-        # outwards to whole millinewtons: a load computed elsewhere must not fall out by its last bit
+        # outwards to whole millinewtons: a last bit must not refuse a load
         valid_load=sections.LoadRange.of(
             min=max(math.floor((law.load_min_N - margin) * 1e3) / 1e3, 0.0),
             max=math.ceil((law.load_max_N + margin) * 1e3) / 1e3,
@@ -209,7 +209,7 @@ def from_geometry(
     created: str | None = None,
     accept: str = "",
 ) -> CoefficientFile:
-    """Return the coefficient file of a geometry, estimated from a campaign; for `outside` and `created` see `Header`.
+    """Return the coefficient file of a campaign's geometry; `outside`, `created`: see `Header`.
 
     Without loads the slope is 0, uncertain by `SLOPE_STD_PER_N`. Lengths not determined keep their nominal value.
     Raises ImplausibleError where the geometry is doubtful or wrong, without a reason to `accept` it.
@@ -231,7 +231,7 @@ def from_geometry(
     names = [estimate.name for estimate in geometry.estimates]
     together = joint_section(geometry.drive, geometry.source, geometry.values, names, geometry.covariance)
     wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
-    # ratios alone were measured: these lengths rest on the nominal mean radius
+    # of ratios alone: these rest on the nominal mean radius
     held = HELD * ("mean_radius_m" in geometry.undetermined)
     file = file.calibrated(track=track, wheelbase=wheelbase)
     file = file.changed(joint_geometry=together, assumed=[*file.assumed, *held])
@@ -313,9 +313,9 @@ def coefficients_of(
 ) -> Source:
     """Return the coefficients of a campaign (fitted now), a result of fit or geometry, or a coefficient file.
 
-    Odometry without rear wheels has those of its geometry. `outside`, `created`: see `Header`; None: as the file says;
-    `accept`: why a law beyond the bounds of its vehicle is passed on; empty: refused. Raises BadInputError where one of
-    them cannot be used; RefusedError where the campaign allows no law.
+    Without rear wheels they are the geometry's. `outside`, `created`: see `Header`; None: the file's; `accept`: why a
+    law beyond its vehicle's bounds is passed on; empty: refused. Raises BadInputError where one cannot be used;
+    RefusedError where the campaign allows no law.
     """
     path = Path(path)
     if outside not in (None, *get_args(Outside)):
@@ -373,7 +373,7 @@ def _is_geometry(path: Path) -> bool:
 def export(file: CoefficientFile, to: str, options: ExportOptions = formats.USUAL) -> tuple[Artifact, ...]:
     """Return the files of a coefficient file in another format, of `calib.coefficients.formats.FORMATS`.
 
-    Raises BadInputError for another format, or its option; RefusedError where the format cannot say what the file says.
+    Raises BadInputError for another format or its option; RefusedError where the format cannot hold the file.
     """
     if to not in formats.FORMATS:
         raise BadInputError(f"to: found {to!r}; expected one of {', '.join(formats.FORMATS)}; choose one of them")

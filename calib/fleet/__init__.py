@@ -20,7 +20,7 @@ FALSE_SHARE: Final = 0.01
 FALSE_CHANCE: Final = 0.01
 #: median of |z| of a standard normal
 MEDIAN_ABS_NORMAL: Final = 0.6744897501960817
-#: robust standard deviations beyond which a vehicle is omitted from the fleet's mean and spread
+#: robust standard deviations of vehicles omitted from the fleet's mean and spread
 OUTLIER_SPREADS: Final = 5.0
 #: median deviations to which values are clipped before labels are compared
 CLIP_DEVIATIONS: Final = 4.0
@@ -64,7 +64,7 @@ def _between(values: FloatArray, variance: FloatArray, target: float) -> float:
         weight = 1.0 / (between + variance)
         return float(weight @ (values - weight @ values / weight.sum()) ** 2) - target
 
-    # with weights up to 1 / between, Q is at most the sum of squares over it
+    # weights are at most 1 / between, so Q is at most the squares over it
     return _root(excess, float(np.sum((values - values.mean()) ** 2)) / target)
 
 
@@ -77,7 +77,7 @@ def _root(falling: Callable[[float], float], high: float) -> float:
 
 
 def outlying(values: FloatArray, std: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return how far each vehicle stands from the fleet, in standard deviations, and its p-value by Student's t."""
+    """Return each vehicle's distance from the fleet in standard deviations, and its p-value by Student's t."""
     away = np.abs(values - np.median(values))
     variance = std**2 + SMALLEST_VARIANCE
 
@@ -112,15 +112,15 @@ def familywise(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
 def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return wheels' variances shrunk towards the fleet's, and their degrees of freedom (Smyth 2004).
 
-    The prior's degrees of freedom are two standard errors low, and no variance falls below its own: one wheel's
-    sessions may scatter as no other's.
+    The prior's degrees of freedom are two standard errors low, and no variance falls below its own: one wheel may
+    scatter as no other.
     """
     n, half = len(dof), 0.5 * dof
     if n < 2 * FEWEST_COMPARED:
         return variance, dof
     log = np.log(variance) - digamma(half) + np.log(half)
     squares = (log - log.mean()) ** 2 * n / (n - 1) - polygamma(1, half)
-    # a vehicle's two wheels share its sessions: half as many are independent
+    # two wheels share sessions: half as many are independent
     excess, prior = float(squares.mean() + 2.0 * squares.std() / np.sqrt(0.5 * n)), 0.5 * float(half.sum())
     if excess > 0.0:
         # trigamma is just above 1 / x + 1 / (2 x^2)
@@ -273,7 +273,7 @@ def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, st
 
 
 def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> list[tuple[LabelDifference, BoolArray]]:
-    # stepwise, the most significant first: beside a label that differs all others seem to differ the other way
+    # the most significant first: beside a label that differs all others seem to differ the other way
     residual, labelled = {name: column.copy() for name, column in values.items()}, [*_labelled(vehicles, labels)]
     differences = []
     for _ in range(len(labelled) * len(residual)):

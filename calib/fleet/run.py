@@ -1,4 +1,4 @@
-"""A fleet's fit: files of runs to sums by session, from these each vehicle's record, and what the fleet shows."""
+"""A fleet's fit: runs to sums by session, to each vehicle's record, and what the fleet shows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -60,7 +60,7 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
 
 
 def campaign_of(part: Part, known: dict[Path, Campaign], *, lenient: bool = False) -> Campaign:
-    """Return the campaign of a file of journeys, without logs of a dataset's; `known`: settings read."""
+    """Return the campaign of a file, without a dataset's logs; `known`: settings read."""
     if part.whole:
         return read_campaign(part.settings, lenient=lenient)
     if part.settings not in known:
@@ -139,7 +139,7 @@ class DriftingVehicle:
 
 @dataclass(frozen=True, slots=True)
 class FleetView:
-    """What the fleet shows; see `calib.fleet.Quantities`. Of drifting vehicles the soonest due first."""
+    """What the fleet shows, see `calib.fleet.Quantities`; drifting vehicles soonest due first."""
 
     n_vehicles: int
     n_fitted: int
@@ -305,7 +305,7 @@ def _geometry(member: Member) -> dict[str, object]:
     from calib.kinematics.estimate import estimate_geometry
 
     geometry = estimate_geometry(_campaign(member))
-    # what rests on the nominal mean radius is no result; its ratios are
+    # what rests on the nominal radius is no result; its ratios are
     rows = [*(one for one in geometry.estimates if one not in geometry.scaled), *geometry.ratios]
     return {
         "verdict": geometry.verdict.value,

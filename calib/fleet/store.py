@@ -1,4 +1,4 @@
-"""The vehicles of a folder with their files, and what was read of these, kept line by line."""
+"""A folder's vehicles with their files, and what was read of these, kept line by line."""
 
 import hashlib
 import json
@@ -161,7 +161,7 @@ SEAL: Final = "seal"
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """A kept record: its unique name, the key of its source (empty: make it anew), its line."""
+    """A kept record: unique name, key of its source (empty: make anew), line."""
 
     name: str
     key: str
@@ -195,7 +195,7 @@ def renewed(
     stage: str,
     weigh: Callable[[Source], int] = lambda _source: 1,
 ) -> tuple[dict[str, Kept], int]:
-    """Do a task for each new or changed source; return all records, and how many were done now.
+    """Do a task for new or changed sources; return all records, and how many were done.
 
     `path`: of the sorted records; `sources`: by record name; for the others see `Engine.run`.
     """
@@ -248,7 +248,7 @@ class Keys:
         self._settings: dict[Path, str] = {}
 
     def of(self, source: Part | Member) -> str:
-        """Return the key of a file with settings and logs, or of a vehicle's files."""
+        """Return the key of a file with settings and logs, or a vehicle."""
         if isinstance(source, Member):
             return "|".join(f"{part.name}:{self.of(part)}" for part in source.parts)
         if source.why:

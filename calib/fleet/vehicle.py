@@ -1,4 +1,4 @@
-"""The record of a vehicle: both wheels' laws from sums of its files by session, with intervals and drift.
+"""A vehicle's record: both wheels' laws from its files' sums by session, with intervals and drift.
 
 Intervals allow for autocorrelated runs as in `calib.radius`; the slope's variance grows by ``(1 + rho phi) /
 (1 - rho phi)``, ``phi`` the lag-one autocorrelation of the loads (Bartlett 1935).
@@ -181,7 +181,7 @@ class WheelSums:
     def from_runs(
         session: StrArray, load_N: FloatArray, radius_m: FloatArray, day: FloatArray, reach: FloatArray
     ) -> "WheelSums":
-        """Return the sums of runs in the order driven; `reach`: radius over distance; see `WheelSums`."""
+        """Return the sums of runs as driven; `reach`: radius over distance; see `WheelSums`."""
         labels, index = np.unique(session, return_inverse=True)
         table = np.zeros((len(labels), 13))
         terms = (np.ones_like(load_N), load_N, radius_m, load_N**2, load_N * radius_m, radius_m**2, day)
@@ -307,7 +307,7 @@ ROUNDING: Final = 1e-12
 
 
 def line_from_sums(sums: WheelSums) -> LineEstimate | None:
-    """Return the line of `stratified_line` without HC3; a plain one where sessions tell nothing."""
+    """Return `stratified_line` without HC3; a plain one where sessions tell nothing."""
     sizes, x, y, xx, xy, yy = sums.table[:, :6].T
     n, n_sessions = float(sizes.sum()), len(sizes)
     if n < 3:

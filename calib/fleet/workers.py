@@ -1,4 +1,4 @@
-"""What runs the tasks of a fleet: this process, processes of this machine, or the workers of a Dask scheduler."""
+"""What runs a fleet's tasks: this process, others of this machine, or the workers of a Dask scheduler."""
 
 import asyncio
 import importlib
@@ -22,7 +22,7 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 Task = Callable[[Sequence[Item]], list[Result]]
 
-#: batches in a worker's share of the remaining work, at least: all workers end together
+#: least batches in a worker's share of what remains: all end together
 PARTS_OF_A_SHARE: Final = 2
 #: least and most work in a batch; a hand-over takes 2 ms, by Dask 8 ms
 SERIAL_BATCH: Final = (1, 16)
@@ -114,10 +114,10 @@ class Engine:
         given_up: Callable[[Item, str], Result],
         weigh: Callable[[Item], int] = lambda _item: 1,
     ) -> Iterator[Result]:
-        """Run a task on all items and yield the results as they come, one an item.
+        """Run a task on all items and yield results as they come, one an item.
 
-        Items of a worker that dies are tried again one by one. `task`: a module's function; `given_up`: makes the
-        result of an item that took its worker down twice, from item and reason; `weigh`: work that an item is.
+        Items of a dead worker are tried again one by one. `task`: a module's function; `given_up`: makes the result of
+        an item that ended its worker twice, from item and reason; `weigh`: work of an item.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []
@@ -165,7 +165,7 @@ class _ProcessEngine(Engine):
         if _may_fork():
             _import_modules(SHARED_MODULES)
         self._pool = self._started()
-        # the first task makes the workers, while this process has no other thread
+        # makes the workers, while there is no other thread
         self._pool.submit(int)
 
     def close(self) -> None:
@@ -262,7 +262,7 @@ class DaskEngine(Engine):
         return max(1, threads)
 
     def close(self) -> None:
-        """Leave the scheduler, even one that no longer answers."""
+        """Leave the scheduler, even a silent one."""
         with suppress(OSError, TimeoutError, CancelledError, RuntimeError):
             self._client.close(timeout=CLOSE_S)
 
@@ -274,7 +274,7 @@ class DaskEngine(Engine):
         return future
 
     def result(self, future: Future[list[Result]]) -> list[Result] | None:
-        """Return a batch's results; None where the scheduler blames it for a worker's death."""
+        """Return a batch's results; None where it is blamed for a worker's death."""
         from distributed import KilledWorker
 
         try:

@@ -23,12 +23,12 @@ def catalogue() -> dict[str, dict[str, str]]:
 
 
 def paragraph(name: str, /, **values: object) -> str:
-    """Return a paragraph of the report with its places filled in; see `catalogue`."""
+    """Return a paragraph, its places filled in; see `catalogue`."""
     return catalogue()["report"][name].format(**values)
 
 
 def caption(name: str, /, **values: object) -> str:
-    """Return the caption of a picture, or of ``table-NAME``, with its places filled in; see `catalogue`."""
+    """Return the caption of a picture, or of ``table-NAME``; see `paragraph`."""
     return catalogue()["caption"][name].format(**values)
 
 
@@ -38,7 +38,7 @@ def _quoted(word: str) -> str:
 
 
 def next_step(step: str, **names: str | Path | Iterable[str | Path]) -> str:
-    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, where it has runs to diagnose.
+    """Return the line after a step of ``words.toml``; ``runs`` is the campaign `c`, if it has runs to diagnose.
 
     Raw files of the lab make one first.
     """
@@ -62,7 +62,7 @@ class Block:
     __slots__ = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the block as plain values under the name of its kind; a drawing is in the file of its name."""
+        """Return the block as plain values under its kind; a drawing is in its own file."""
         return {"kind": type(self).__name__.lower()} | plain_fields(self)
 
 

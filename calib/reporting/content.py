@@ -57,7 +57,7 @@ class Report:
     passed: bool
     sections: tuple[Section, ...]
     attachments: tuple[Attachment, ...]
-    #: what the campaign's ``[report]`` section states; None where nobody signs
+    #: of the ``[report]`` section; None where nobody signs
     stated: Mapping[str, str] | None = field(default=None, metadata={"json": False})
     #: name and bytes of the laboratory's picture
     logo: tuple[str, bytes] | None = None
@@ -111,10 +111,10 @@ def report_of(
     where: Path | None = None,
     progress: Progress = silent,
 ) -> Report:
-    """Return the report on a fit or a campaign; where its runs allow no law, on their geometry.
+    """Return the report on a fit or a campaign; without a law, on its geometry.
 
-    `issued`, `accept`, `where`: see `source_of`; `seed`: of the diagnosis of the gap, which is added; None: none is.
-    Raises BadInputError where a fit is to be diagnosed; RefusedError where the runs allow neither a law nor a geometry.
+    `issued`, `accept`, `where`: see `source_of`; `seed`: of the diagnosis that is added; None: none is. Raises
+    BadInputError where a fit is to be diagnosed; RefusedError where the runs allow neither.
     """
     if not isinstance(subject, Campaign):
         if seed is not None:
@@ -198,8 +198,8 @@ def report_without_law(
 ) -> Report:
     """Return the report on runs without a radius law: geometry, diagnosis, or both.
 
-    `why`: a sentence without its full stop; `geometry`: with the runs' traces in ``paths``; `coefficients`: None where
-    the geometry is not passed on. For `issued` see `source_of`.
+    `why`: a sentence without full stop; `geometry`: with traces in ``paths``; `coefficients`: None where the geometry
+    is not passed on; `issued`: see `source_of`.
     """
     from calib.reporting.topics.diagnosis import gap_section, page_one_notice
     from calib.reporting.topics.geometry import geometry_sections

@@ -1,4 +1,4 @@
-"""Results as plain text: values to the digits that their uncertainty allows, and blocks fitted to the width."""
+"""Results as plain text: values to the digits of their uncertainty, blocks fitted to the width."""
 
 import math
 import re
@@ -69,7 +69,7 @@ def measured(value: float, std: float) -> tuple[str, str]:
 
 
 def aligned(rows: Iterable[Sequence[str]], *columns: int) -> tuple[tuple[str, ...], ...]:
-    """Return rows whose numbers, in the given columns, stand with decimal points below each other."""
+    """Return rows, the given columns aligned at their decimal points."""
     padded = [list(row) for row in rows]
     for column in columns:
         fractions = [len(row[column].partition(".")[2]) for row in padded]
@@ -154,7 +154,7 @@ _NAMED: Final = {
 
 
 def with_unit(name: str) -> str:
-    """Return ``speed_mps`` as ``speed (m/s)``; of an unknown unit, that it is the column's own."""
+    """Return ``speed_mps`` as ``speed (m/s)``; an unknown unit is the column's own."""
     words = in_words(name)
     return words if words.endswith(")") else f"{words} (as in the table)"
 
@@ -181,7 +181,7 @@ class Line:
 
 
 def plain(text: str) -> str:
-    """Return a text with signs that a terminal's users can copy and search for."""
+    """Return a text with signs that users can copy and search for."""
     return text.translate(_SIGNS)
 
 

@@ -106,7 +106,7 @@ def _compiled(folder: Path, report: Report, *, system_fonts: bool) -> bytes:
 
 
 def to_html(report: Report, panels: str = "") -> str:
-    """Return a report as a self-contained page, linked panels in place of the diagnosis' figures."""
+    """Return a report as a self-contained page, linked panels for the diagnosis' figures."""
     sections = report.sections
     if panels:
         kept = [[each for each in part.blocks if getattr(each, "name", "") not in GAP_PICTURES] for part in sections]
@@ -172,7 +172,7 @@ def _groups(columns: Sequence[Mapping[str, str]]) -> list[tuple[str, int]]:
 
 
 def write_fleet(fleet: "Fleet | Survey", into: Path, *, name: str, issued: str, force: bool = False) -> list[Path]:
-    """Write the result of a task over a fleet, all of it or none, with its pages.
+    """Write a task's result over a fleet and its pages, all or none.
 
     `name`, `issued`: of the fleet, and date of issue, see `Report`; `force`: in place of others.
     """

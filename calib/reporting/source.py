@@ -36,7 +36,7 @@ class Source:
     coefficients: "CoefficientFile"
     #: YYYY-MM-DD
     issued: str
-    #: what the campaign's ``[report]`` section states, by the keys of `STATED`
+    #: of the ``[report]`` section, by keys of `STATED`
     stated: Mapping[str, str] = field(default_factory=dict)
     #: of the diagnosis, if asked for
     verdict: "Diagnosis | None" = None
@@ -75,12 +75,12 @@ class Source:
 
 
 def number_of(kind: str, content: Mapping[str, Any]) -> str:
-    """Return a report's identification: the kind of report and what its content gives, never chance."""
+    """Return a report's identification by kind and content, never chance."""
     return f"{kind}-{hashlib.sha256(to_json(content).encode()).hexdigest()[:12].upper()}"
 
 
 def issue_date(text: str | None) -> str:
-    """Return the date of issue: `text`, refused where it is no date, or today's where it is None."""
+    """Return the date of issue: `text`, refused if no date; None: today."""
     if text is None:
         return date.today().isoformat()
     refuse_other_than_date(text, FIRST_YEAR)
@@ -88,7 +88,7 @@ def issue_date(text: str | None) -> str:
 
 
 def opened(path: Path, *, progress: Progress = silent) -> "Fit | Campaign":
-    """Return the fit of a result folder or its ``fit.json``, or else the campaign of a folder."""
+    """Return the fit of a result folder or ``fit.json``, else the folder's campaign."""
     from calib.campaign.read import read_campaign
     from calib.radius.result import is_result, read_result
 
@@ -98,10 +98,10 @@ def opened(path: Path, *, progress: Progress = silent) -> "Fit | Campaign":
 
 
 def source_of(subject: "Fit | Campaign", *, issued: str, accept: str = "", where: Path | None = None) -> Source:
-    """Return what a report on a fit, or on a campaign fitted now, is made from, without diagnosis.
+    """Return the source of a report on a fit, or a campaign fitted now, without diagnosis.
 
-    `issued`: date of issue, YYYY-MM-DD; `accept`: why a law beyond the bounds of its vehicle is passed on all the same;
-    empty: it is refused; `where`: where the fit was read from, if it was.
+    `issued`: date of issue, YYYY-MM-DD; `accept`: why a law beyond its vehicle's bounds is passed on; empty: refused;
+    `where`: where the fit was read from, if it was.
     """
     from calib.coefficients.build import from_fit
     from calib.radius.fit import fit_campaign
@@ -142,14 +142,14 @@ def _verdict_beside(path: Path, name: str) -> "tuple[VerdictKind, str] | None":
 
 
 def doubtful_causes(causes: Iterable[tuple[str, float]]) -> str:
-    """Return the probabilities of causes, (effect, probability), where one is below 0.9; else nothing."""
+    """Return causes' probabilities, (effect, probability), where one is below 0.9; else nothing."""
     named = list(causes)
     if all(value >= SURE_FROM for _, value in named):
         return ""
     return f"Probability: {', '.join(f'{name} {100 * value:.0f} %' for name, value in named)}."
 
 
-#: keys of the campaign's ``[report]`` section, and what a reader is told where one is missing
+#: key of the ``[report]`` section -> what a reader is told without it
 STATED: Final[Mapping[str, str]] = catalogue()["stated"]
 #: keys whose absence a reader need not be told
 OPTIONAL: Final = frozenset({"remarks", "deviations", "prepared", "method", "replaces", "logo"})
@@ -165,7 +165,7 @@ def stated_of(campaign: Campaign) -> dict[str, str]:
 
 
 def refused_settings(campaign: Campaign) -> list[Note]:
-    """Return what fit, diagnosis or report refuse of the settings, as faults of the campaign."""
+    """Return the settings that fit, diagnosis or report refuse, as faults."""
     from calib.gap.effects.quantities import declared_effects
     from calib.radius.effective import declared_sources
 

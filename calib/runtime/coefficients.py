@@ -1,4 +1,4 @@
-"""Reading the coefficient file with the standard library alone: units, ranges and checksum are verified."""
+"""Reading the coefficient file by the standard library alone: units, ranges and checksum are verified."""
 
 import hashlib
 import json
@@ -90,7 +90,7 @@ class Coefficients:
     failed_checks: tuple[str, ...] = ()
 
     def takes(self, loads_N: Sequence[float], nearest_N: Sequence[float]) -> bool:
-        """Return whether loads hold: the nearest valid ones are the same, or stand in where a wheel can carry them."""
+        """Return whether loads hold: the nearest valid ones are equal, or replace them where a wheel can carry them."""
         clamps, most_N = self.outside == "clamp", self.max_wheel_load_N
         pairs = zip(loads_N, nearest_N, strict=True)
         return all(load_N == near_N or (clamps and 0.0 < load_N <= most_N) for load_N, near_N in pairs)
@@ -178,7 +178,7 @@ class Coefficients:
 
 
 def _numbers(kind: type, **sections: tuple[str, dict[str, Any]]) -> dict[str, Any]:
-    # what a class stores, by field; sections: by name in `_stored`, where each stands and what it holds
+    # a class's values by field; sections: by name in `_stored`, place and content
     values = {}
     for field, hint in get_type_hints(kind, include_extras=True).items():
         for place, unit, limits in getattr(hint, "__metadata__", ()):

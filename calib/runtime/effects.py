@@ -21,7 +21,7 @@ from .coefficients import CoefficientError, Coefficients  # noqa: TID252 the fol
 
 __all__ = ["Effects", "Motion", "Run"]
 
-#: an effect depends on the path that it bends: so often it is computed anew
+#: an effect depends on the path that it bends: so often it is computed
 PASSES = 3
 #: a shorter way has no curvature
 SHORTEST_STEP_M = 1e-6
@@ -121,7 +121,7 @@ class _Effect:
         return self.sizes.get(name, 0.0)
 
     def deviation(self, value: float) -> float:
-        """Return how far a covariate lies from where the effect is zero; 0 where unknown."""
+        """Return a covariate's distance from the effect's zero; 0 where unknown."""
         off = (value - self.settings.get("centre", 0.0)) / (self.settings.get("spread", 1.0) or 1.0)
         return off if math.isfinite(off) else 0.0
 

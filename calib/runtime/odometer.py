@@ -24,7 +24,7 @@ from .coefficients import CoefficientError, Coefficients, WheelCoefficients  # n
 
 __all__ = ["Odometer", "OdometerFault", "Pose", "Status"]
 
-#: way that a radian of turning counts as in the random walk, as in the estimate of its size
+#: way that a radian of turning counts as in the random walk and its estimate
 _WAY_PER_RAD_M = 0.1
 
 
@@ -200,7 +200,7 @@ class Odometer:
     def set_payload(
         self, payload_kg: float, payload_x_m: float | None = None, payload_y_m: float | None = None
     ) -> None:
-        """Set the wheel loads from a payload and its centre of mass, which 0 kg has not; see `set_wheel_loads`.
+        """Set the wheel loads from a payload and its centre of mass, none of 0 kg; see `set_wheel_loads`.
 
         Raises OdometerFault also where a wheel would lift or carry too much.
         """

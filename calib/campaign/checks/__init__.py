@@ -123,9 +123,9 @@ def logged_turns(campaign: Campaign) -> FloatArray:
 
 
 def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
-    """Return how far the reference turned in each run, and by how many turns the wheels differ; infinite if not whole.
+    """Return how far the reference turned in each run, and the wheels' difference in turns; infinite if not whole.
 
-    Headings all within half a turn count as wrapped and are unwrapped; those on a map come from the logs.
+    Headings all within half a turn are unwrapped; those on a map come from the logs.
     """
     measured, turned = campaign.runs.number("ref_theta_rad"), turned_rad(campaign)
     if campaign.reference.frame == "map":
@@ -133,7 +133,7 @@ def reference_turns(campaign: Campaign) -> tuple[FloatArray, FloatArray]:
     turns = np.round((turned - measured) / (2 * np.pi))
     near = np.abs(turned - measured - 2 * np.pi * turns) < _NEAR_TURN_RAD
     if (np.abs(measured[near]) <= np.pi + 0.05).all():
-        # below 2.5 rad by the wheels, which may be 20 % off, the heading was not wrapped
+        # wheels may be 20 % off: below 2.5 rad nothing wraps
         measured = measured + 2 * np.pi * np.where(near & (np.abs(turned) > 2.5), turns, 0.0)
         turns = 0.0 * turns
     return measured, np.where(near, turns, turns + math.inf)
@@ -166,7 +166,7 @@ def pair_slopes(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def line_residuals(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the residuals of `y` about its Theil-Sen line in `x`; with few runs, about the median."""
+    """Return residuals of `y` about its Theil-Sen line in `x`; of few runs, about the median."""
     known = np.isfinite(x + y)
     slopes = pair_slopes(x[known], y[known]) if known.sum() >= MIN_LINE_RUNS else np.zeros(0)
     line = np.median(slopes) * np.where(np.isnan(x), np.median(x[known]), x) if len(slopes) else np.zeros(len(x))
@@ -174,9 +174,9 @@ def line_residuals(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def partial_slope(y: FloatArray, x: FloatArray, nuisance: FloatArray, least: float = 0.0) -> tuple[float, float, float]:
-    """Return the partial regression slope of `y` on `x` beside nuisance columns, its standard error and its dof.
+    """Return the partial slope of `y` on `x` beside nuisance columns, its standard error and dof.
 
-    Slope 0 and an infinite error where the root mean square of `x` beside them is `least` or less.
+    Slope 0, error infinite where the root mean square of `x` beside them is at most `least`.
     """
     regressors = nuisance / np.maximum(np.abs(nuisance).max(axis=0), 1e-300)
     both = np.column_stack([x, y])
@@ -256,8 +256,7 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
         yield Note("suspicious" if set(WEIGHTY) & set(keys) else "info", "campaign.toml", text, "assumed")
 
 
-#: squared correlation with the load beyond which an effect within a covariate's interval may move the slope beyond its
-#: own
+#: squared correlation with the load beyond which a covariate's interval may move the slope beyond its own
 MAX_LOAD_R2: Final = 0.5
 #: fewest runs for a law
 FEWEST_OF_A_LAW: Final = 3
@@ -313,14 +312,14 @@ def covariate_against_load(load_N: FloatArray, values: FloatArray, session: StrA
     return (product / math.sqrt(both), product / of_load) if both > 0.0 else (0.0, 0.0)
 
 
-#: squared correlation beyond which two columns are collinear: their effects' intervals are five times as wide
+#: squared correlation of collinear columns: their effects' intervals are five times as wide
 _COLLINEAR_R2: Final = 0.96
 #: column -> smallest range that a diagnosis explains runs by: a hall changes by 1 K a day
 _MIN_CHANGE: Final = {"load": 20.0, "speed": 0.02, "temperature": 2.0, "order of the sessions": 0.5, "direction": 0.5}
 
 
 def columns_as_one(campaign: Campaign) -> Iterator[Note]:
-    """Say which two of load, speed, temperature, order of the sessions and direction are collinear."""
+    """Say which of load, speed, temperature, session order and direction are collinear."""
     runs = campaign.runs
     _, first, session = np.unique(runs.label("session"), return_index=True, return_inverse=True)
     values = (
@@ -371,7 +370,7 @@ _SAME_VALUE: Final = 0.01
 def pasted_rows(campaign: Campaign) -> Iterator[Note]:
     """Find runs that repeat an earlier one: counts and distance, or counts over time and end pose.
 
-    Counts alone repeat honestly where they are few, or a stepping motor's.
+    Few counts, or a stepping motor's, repeat honestly.
     """
     reference, names, seen = campaign.reference, ("distance_m", *REFERENCE_POSE), defaultdict[Any, list[Any]](list)
     sigmas = campaign.rangefinder.sigma_m, reference.sigma_xy_m, reference.sigma_xy_m, reference.sigma_theta_rad

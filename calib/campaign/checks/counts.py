@@ -16,7 +16,7 @@ from calib.campaign.read import log_totals
 from calib.campaign.wheels import steered_itself_m
 from calib.types import BoolArray, ComplexArray, FloatArray
 
-#: largest relative departure from the nominal radius: of a single run, and of all runs alike, by wear and load
+#: largest relative departure from the nominal radius: of a run, and of all by wear and load
 _MAX_RUN_DEPARTURE: Final = 0.15
 _MAX_WEAR: Final = 0.06
 #: loads within this share are equal
@@ -26,7 +26,7 @@ _EQUAL_LOADS: Final = 0.05
 def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
     """Find wheels that count backwards although the vehicle drives forward."""
     runs = campaign.runs
-    # the vehicle itself drove backward where its end pose is behind its start
+    # an end behind the start: driven backward
     forward = (runs.number("distance_m") > 1.0) & ~(runs.number("ref_x_m") < 0.0)
     backward = {side: (runs.number(f"counts_{side}") < 0) & forward for side in checks.SIDES}
     if whole := [side for side in checks.SIDES if backward[side].sum() > checks.MOST_OF_THE_RUNS * forward.sum()]:
@@ -40,7 +40,7 @@ def reversed_wheels(campaign: Campaign) -> Iterator[Note]:
 
 
 def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
-    """Find a vehicle that steered by its own counts: its wheels rolled alike in every run."""
+    """Find a vehicle that steered by its counts: its wheels rolled alike in every run."""
     if (apart_m := steered_itself_m(campaign)) >= 0.0:
         text = f"""the wheels of all runs along a line rolled alike to within {1e3 * apart_m:.2g} mm: the vehicle seems
             to have steered by its own counts, which hides what its radii differ by; measure ref_theta_rad at the end"""
@@ -49,7 +49,7 @@ def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
 
 def dead_counters(campaign: Campaign) -> Iterator[Note]:
     """Find wheels without a count while the vehicle moves."""
-    # not a turn about the standing wheel, as reference or distance say
+    # no turn about the standing wheel
     runs, turn, reference = campaign.runs, checks.turned_rad(campaign), checks.reference_turns(campaign)[0]
     moved = np.abs(turn - reference) > 0.5 * np.abs(turn)
     moved |= (runs.number("distance_m") > 1.0) & np.isnan(reference)
@@ -123,7 +123,7 @@ def counts_against_log(campaign: Campaign) -> Iterator[Note]:
 
 
 def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose ratio of right to left counts fits the loads only with the wheels swapped."""
+    """Find runs whose ratio of counts fits the loads only with the wheels swapped."""
     left, right = (campaign.runs.number(f"counts_{side}") / campaign.encoder.per_rev(side) for side in checks.SIDES)
     usable = np.flatnonzero((left > 0) & (right > 0) & (campaign.runs.number("distance_m") > 1.0))
     if len(usable) < 5:
@@ -133,7 +133,7 @@ def swapped_wheels(campaign: Campaign) -> Iterator[Note]:
     fitted, spread = ratio - away, max(checks.robust_spread(away), 2e-5)
     mirrored = (np.abs(ratio + fitted) < 5 * spread) & (np.abs(ratio - fitted) > 8 * spread)
     for at in np.flatnonzero(mirrored):
-        # other runs of these loads have the same ratio: not this run is swapped
+        # not swapped: other runs of these loads have the same ratio
         equal = ~(np.abs(loads - loads[at]) > _EQUAL_LOADS * loads[at]).any(axis=1)
         if equal.sum() > 1 and abs(ratio[at] - np.median(ratio[equal])) < 8 * spread:
             continue
@@ -199,7 +199,7 @@ def clock(campaign: Campaign) -> Iterator[Note]:
             continue
         moved = np.sum([np.abs(np.diff(log[name])) for name in log if name.startswith("counts_")], axis=0)
         rate = float(np.median((moved / np.where(step > 0, step, np.nan))[step > 0]))
-        # while driving, a gap holds the counts of its duration, a jump of the clock those of one sample
+        # a gap holds the counts of its duration, a jump of the clock those of one sample
         jumped = [at for at in long if rate > 0 and moved[at] < 0.35 * rate * step[at]]
         jumped = [at for at in jumped if moved[max(0, at - 3) : at].any() and moved[at + 1 : at + 4].any()]
         if gaps := [at for at in long if at not in jumped]:
@@ -271,21 +271,21 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
             driven[run] = np.median(rates[rates > 0]) if np.ptp(way) > campaign.vehicle.wheel_radius_m else np.nan
     yield from _speed_note(float(np.nanmedian(driven)) if np.isfinite(driven).any() else 1.0)
     known = np.isfinite(ratios) & (ratios > 0)
-    # a route with turns or pauses is slower than its set speed; only a factor is odd
+    # turns and pauses are slower than the set speed
     if known.any() and not 0.4 < (usual := float(np.median(ratios[known]))) < 1.6:
         hint = "km/h look like m/s; name the column speed_kmh" if 0.22 < usual < 0.34 else "check speed and clock"
         text = f"the logs drive at {usual:.3g} times the set speed; {hint}"
         yield checks.column_note("speed_mps", text, "speed_disagrees")
 
 
-#: fewest interruptions of a log; at each, largest relative change of the counts a sample and their least number: no
-#: wheel stops and starts within a sample
+#: fewest interruptions of a log; at each, largest relative change of the counts a sample, and fewest counts: no wheel
+#: stops and starts within a sample
 _MIN_INTERRUPTIONS, _MAX_STEP_CHANGE, _MIN_STEP_COUNTS = 5, 0.25, 20
 _GAP: Final = 1.5  #: time steps that lack a row, over the usual one
 
 
 def interrupted_counts(campaign: Campaign) -> Iterator[Note]:
-    """Yield counts that stand still, or rows that are missing, again and again at full speed, never made up for."""
+    """Yield counts that stand still, or missing rows, again and again at full speed, never made up for."""
     for interruptions, what, why in (
         (_interruptions, "the counts stand still", "steps are lost before they are added up: check encoder and cable"),
         (_missing_rows, "rows are missing", "increments of a missing row are in no other"),
@@ -311,7 +311,7 @@ def _missing_rows(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int,
     gaps = np.flatnonzero(step_s[1:-1] > _GAP * usual_s) + 1
     before, after = (step[gaps + side] / np.maximum(step_s[gaps + side], 1e-12) for side in (-1, 1))
     rate, counted = 0.5 * (before + after), float(step[gaps].sum())
-    # counts expected in the gaps: of their whole duration, and of one sample, where the other rows' are lost
+    # counts expected in the gaps: of their duration, and of one sample, the others lost
     whole, single = float(rate @ step_s[gaps]), float(rate.sum()) * usual_s
     # scattering time stamps have as many short steps as long ones
     missing = len(gaps) > 2 * (step_s < (2.0 - _GAP) * usual_s).sum()
@@ -321,7 +321,7 @@ def _missing_rows(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int,
 
 def _interruptions(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int, float]:
     edge = np.diff(np.concatenate([[True], step != 0.0, [True]]).astype(np.int8))
-    # stretches without a count: first sample, and the one after the last; none at an end of the log
+    # stretches without a count: first sample, and that after the last; none at an end
     first, after = np.flatnonzero(edge == -1), np.flatnonzero(edge == 1)
     inner = (first > 0) & (after < len(step))
     first, after = first[inner], after[inner]
@@ -361,7 +361,7 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
         position, turned = (x + 1j * y)[at], checks.turned_rad(campaign, left[at], right[at])
         wheels = np.diff([checks.rolled_m(campaign, side, log[f"counts_{side}"][at]) for side in checks.SIDES])
         rolled = wheels.mean(axis=0)
-        # in turns on the spot the reference moves, the axle does not
+        # on the spot the reference moves, not the axle
         straight = (np.abs(np.diff(turned)) < _STRAIGHT_RAD) & (np.abs(rolled) > 0.5 * np.abs(wheels).max())
         ratio = np.abs(np.diff(position)[straight] / rolled[straight])
         ratios[run] = np.median(ratio) if straight.any() else np.nan

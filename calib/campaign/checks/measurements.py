@@ -1,4 +1,4 @@
-"""Distances and wheel loads: missing, in another unit, beyond limits, or inconsistent with payload and vehicle."""
+"""Distances and wheel loads: missing, in another unit, beyond limits, or unlike payload and vehicle."""
 
 import math
 from collections.abc import Iterator
@@ -78,12 +78,12 @@ def distance_against_log(campaign: Campaign) -> Iterator[Note]:
         yield implausible_column("range_m", text, of="logs")
 
 
-#: factor within which a measured radius, track or load is of its nominal value
+#: factor between a measured radius, track or load and its nominal value
 MOST_RATIO: Final = 4.0 / 3.0
 
 
 def implausible_ratio(ratio: float) -> bool:
-    """Return whether a ratio of measured to nominal value is beyond `MOST_RATIO` either way."""
+    """Return whether measured over nominal is beyond `MOST_RATIO` either way."""
     return not 1 / MOST_RATIO <= ratio <= MOST_RATIO
 
 
@@ -94,7 +94,7 @@ def factor_reason(ratio: float) -> str:
 
 
 def odd_sessions(campaign: Campaign, ratio: FloatArray) -> Iterator[tuple[str, float]]:
-    """Yield sessions whose median ratio is implausible beside that of all runs, (n_runs,), with the factor between."""
+    """Yield sessions of implausible median ratio beside all runs', (n_runs,), with the factor."""
     for name, runs in checks.runs_by_label(campaign.runs.label("session")):
         known = ratio[runs][ratio[runs] > 0.0]
         factor = float(np.median(known) / np.median(ratio[ratio > 0.0])) if len(known) >= LEAST_RUNS else 1.0
@@ -165,7 +165,7 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
             text = f"loads of up to {largest:.5g} N are more than the {permitted:g} N that nobody stated; give your own"
             yield checks.setting_note("vehicle.max_wheel_load_N", text, "excess_load")
         permitted = np.inf
-    # no wheel carries more than the vehicle and its heaviest payload weigh
+    # no wheel carries more than the vehicle and its heaviest payload
     mass_kg = campaign.vehicle.mass_kg + np.max(campaign.runs.number("payload_kg"), initial=0.0)
     known = checks.stated(campaign, "vehicle.mass_kg") and np.isfinite(mass_kg)
     weight_N = _REAR_SHARE[1] * GRAVITY_MPS2 * mass_kg if known else np.inf
@@ -189,7 +189,7 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
 
 #: robust spreads beyond which a load does not scatter by the payload's place
 _LOAD_SPREADS: Final = 6.0
-#: contradicted loads that, all too large or all too small, have a common cause (by chance 2 in 2^8)
+#: contradicted loads, all too large or all too small, that have a common cause (by chance 2 in 2^8)
 _TO_ONE_SIDE: Final = 8
 #: relative error of static loads: a centre of mass is known within 1 to 2 cm on a metre
 _STATICS: Final = 0.02
@@ -222,7 +222,7 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     if checks.stated(campaign, "vehicle.mass_kg") and of.sum() >= checks.MIN_LINE_RUNS:
         spreads = np.maximum(_STATICS, [_LOAD_SPREADS * checks.robust_spread(ratio) for ratio in ratios])[:, None]
         middle = np.median(ratios, axis=1, keepdims=True)
-        # contradicted runs that differ as all others do have a common cause
+        # those that differ as all others do have a common cause
         common = (np.abs(ratios - middle) <= spreads)[:, off[of]].all()
         alike = bool(common and (np.abs(middle - 1.0) > spreads).any())
     if whole or alike:
@@ -297,7 +297,7 @@ _CONTRADICTED: Final = (
 )
 #: plausible factor between the payload's weight and what it adds to the weighed loads
 _MOST_PAYLOAD: Final = 1.6
-#: plausible share of the weighed in the computed load of the empty vehicle, whose mass may be poorly known
+#: plausible share of the weighed in the computed load of the empty vehicle, of poorly known mass
 _LIGHTEST: Final = 0.3
 
 
@@ -370,7 +370,7 @@ def _payload_weight(total: FloatArray, expected: FloatArray, good: BoolArray) ->
     slope, intercept = np.polyfit(x, y, 1)
     unexplained = float(np.std(y - slope * x - intercept))
     ratio = 1 / float(slope) if slope > 0 else math.inf
-    # a unit only where the loads follow the payload closely; a mixture of its places scatters
+    # a unit only where loads follow the payload; mixed places scatter
     if 1 / _MOST_PAYLOAD <= ratio <= _MOST_PAYLOAD or unexplained > 0.1 * float(np.std(y)):
         return
     hint = "is it in pounds?" if abs(ratio / 2.20462 - 1) < 0.1 else "check its unit and its place"

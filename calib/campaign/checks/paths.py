@@ -12,13 +12,13 @@ from calib.campaign.model import Campaign, Note
 from calib.campaign.wheels import ASIDE
 from calib.types import few_digits
 
-#: difference of a lost reference from the wheels: in metres, beyond this slip, in standard uncertainties, and in usual
-#: (90 %) differences
+#: a lost reference's difference from the wheels: in m, beyond this slip, in standard uncertainties, in usual (90 %)
+#: ones
 _LOST_M, _SLIP, _LOST_SIGMAS, _UNUSUAL = 0.05, 1.5, 15.0, 4.0
 
 
 def lost_reference(campaign: Campaign) -> Iterator[Note]:
-    """Find positions along the path that stand still while the wheels roll, or leap further than these carry them."""
+    """Find positions along the path that stand still while the wheels roll, or leap further."""
     campaign = checks.on_axle(campaign)
     vehicle, sensor = campaign.vehicle, campaign.reference
     least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
@@ -51,7 +51,7 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
 
 #: part of the way whose course follows the heading: 0.8 to 0.97 of real robots, whose sensors stand off the axle
 _FOLLOWS: Final = 0.8
-#: beside it, part of routes that turn both ways alike and look alike in a mirror
+#: times the part unmirrored: routes turning both ways look alike in a mirror
 _CLEARLY: Final = 2.0
 
 

@@ -16,24 +16,24 @@ from calib.types import BoolArray, FloatArray, IntArray, few_digits
 #: relative departure of both radii from nominal beyond wear (1 %), and that of another wheel
 FAR_FROM_NOMINAL: Final = 0.012
 MOST_FAR: Final = 0.05
-UNLIKE_LOADS: Final = 0.1  #: of two wheels that are not compared: share of their sum by which they differ
+UNLIKE_LOADS: Final = 0.1  #: share of their sum by which loads of wheels not compared differ
 #: factor by which a log's clock is too fast -> the unit of its times
 CLOCK_FACTORS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 SPEED_FACTOR: Final = 30.0  #: a campaign's runs are within this factor of the usual speed
 #: largest share of the runs whose cells are reported one by one; more have a common cause
 MOST_ODD: Final = 0.2
-#: factor by which a distance and the run's counts disagree, so that it belongs to another run or unit
+#: factor between distance and counts that means another run or unit
 ODD_RATIO: Final = 1.3
-#: steps of values: coarse from so many standard uncertainties on; all are multiples of the smallest to this share
+#: steps of values: coarse from so many standard uncertainties; multiples of the smallest to this share
 COARSE, STEP_ERROR = 3.0, 0.02
-REPEATED_VALUES, MOST_REPEATED = 8, 0.8  #: so many repeated values, and this share of all, show rounding by themselves
+REPEATED_VALUES, MOST_REPEATED = 8, 0.8  #: number and share that show rounding by themselves
 MOST_VALUES: Final = 10_000  #: values examined
 _SAME_LOADS: Final = float(np.log(2.0))  #: logarithm of the factor within which loads of log and run table agree
 MOST_SCATTER_COUNTS: Final = 1.0  #: within which the counts missing in the logs are the same in every run
 
 
 def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
-    """Find counts per revolution one off a round number, and radii off together."""
+    """Find counts per revolution one off a round number, and radii off alike."""
     for side in SIDES if stated(campaign, "encoder.counts_per_rev") else ():
         value = campaign.encoder.per_rev(side)
         near = [value + step for step in (-1.0, 1.0) if _is_round(value + step)]
@@ -91,7 +91,7 @@ def log_clock(campaign: Campaign) -> Iterator[Note]:
     speeds = np.where(present, distance[ends] - distance[starts], np.nan) / duration_s
     usual, usual_s = float(np.median(speeds[present])), float(np.median(duration_s[present]))
     for factor, unit in CLOCK_FACTORS.items() if usual > 0.0 else ():
-        # the log of a vehicle that mostly stands is slow, too, but not long
+        # of a vehicle that mostly stands it is slow, not long
         long = duration_s > usual_s * factor / SPEED_FACTOR
         log_ratio = np.abs(np.log(np.maximum(speeds, 1e-300) * factor / usual))
         if len(slow := np.flatnonzero(long & (log_ratio < np.log(SPEED_FACTOR)))):
@@ -101,7 +101,7 @@ def log_clock(campaign: Campaign) -> Iterator[Note]:
 
 
 def odd_lengths(campaign: Campaign) -> Iterator[Note]:
-    """Find runs whose distance is far from what their wheels rolled, and logs whose time does not rise."""
+    """Find distances far from what the wheels rolled, and logs whose time does not rise."""
     ratio = 0.5 * (raw_radius_ratio(campaign, SIDES[0]) + raw_radius_ratio(campaign, SIDES[1]))
     if np.isfinite(ratio).sum() >= LEAST_RUNS and not stated(campaign, "vehicle.wheel_radius_m"):
         ratio = ratio / float(np.nanmedian(ratio))
@@ -121,7 +121,7 @@ _SENSE_OF_KIND: Final = {"ccw": 1.0, "left": 1.0, "cw": -1.0, "right": -1.0}
 
 
 def turns_of_kinds(campaign: Campaign) -> Iterator[Note]:
-    """Compare the sense of turning by counts with the kind's name where no reference measured it."""
+    """Compare the sense of turning by counts with the kind's name, without a reference."""
     turned, measured = checks.turned_rad(campaign), checks.reference_turns(campaign)[0]
     kinds = campaign.runs.label("kind").tolist()
     sense = np.array([_SENSE_OF_KIND.get(kind.rpartition("_")[2], 0.0) for kind in kinds])
@@ -140,7 +140,7 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
     odd = np.isfinite(turns) & (turns != 0.0)
     few = odd.sum() <= MOST_ODD * np.isfinite(turns).sum()
     for _, runs in checks.runs_by_label(campaign.runs.label("session")) if few else ():
-        # headings of a session that differ by no whole turns have another unit or sign
+        # a session off by no whole turns has another unit or sign
         for run in runs[odd[runs]] if np.isinf(turns[runs]).mean() <= MOST_ODD else ():
             text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say"
             text = f"{text}; correct the cell, or omit a run that lost counts"
@@ -166,12 +166,12 @@ _MOST_STEERED_RAD, _SINGLE_SAMPLES = 2.0 * np.pi, 0.01
 _MOST_CAR_RAD: Final = 1.0
 #: difference of headings and counts that is a finding, and share of it that may remain once corrected
 _MIN_DIFFERENCE_RAD, _CORRECTED_SHARE = 1.0, 0.1
-#: remaining difference of a single run: by noise, and by radii and track as a share of its turn
+#: what remains of a single run: by noise, and by radii and track as a share of its turn
 _SINGLE_RAD, _SINGLE_SHARE = 0.05, 0.06
 
 
 def implausible_senses(campaign: Campaign) -> Iterator[Note]:
-    """Yield wheels that count backwards and headings in degrees, of all runs or a session, by how far these turn."""
+    """Yield wheels that count backwards and headings in degrees, of all runs or a session, by their turns."""
     steered = odometry_source(campaign) in STEERED
     angle_rad = np.abs(campaign.logs.columns.get("steer_rad", np.zeros(0)) if steered else np.zeros(0))
     if (beyond := angle_rad > _MOST_STEERED_RAD).sum() > _SINGLE_SAMPLES * len(beyond):
@@ -197,7 +197,7 @@ def implausible_senses(campaign: Campaign) -> Iterator[Note]:
 
 
 def odd_runs(campaign: Campaign) -> Iterator[Note]:
-    """Find single runs of another sense or unit: by their headings, or ends farther away than was driven."""
+    """Find single runs of another sense or unit: by headings, or ends farther away than driven."""
     campaign = checks.on_axle(campaign)
     senses = _STEERED_SENSES if odometry_source(campaign) in STEERED else _SENSES
     known, difference, turned = _disagreement_rad(campaign, senses)
@@ -218,13 +218,13 @@ def odd_runs(campaign: Campaign) -> Iterator[Note]:
 
 
 def _disagreement_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, FloatArray, FloatArray]:
-    # known turns (n_runs,), difference of headings and counts by sense (n_senses, n_runs), turns by the reference
+    # turns (n_runs,); difference of headings and counts by sense (n_senses, n_runs)
     turned = checks.reference_turns(campaign)[0]
     left, right = (checks.rolled_m(campaign, side) / campaign.vehicle.track_m for side in SIDES)
     differences = []
     for by_left, by_right, by, _ in senses:
         difference = np.abs(by * turned - by_right * right + by_left * left)
-        # the wheel to negate counts backwards; any unit would fit wheels that hardly turn
+        # only a wheel that counts backwards is negated; wheels that hardly turn fit any unit
         excluded = (left * right < 0) & (by_left * left < 0) & (by_right * right < 0)
         excluded |= (abs(by) < 1.0) & (np.abs(by * turned - right + left) > _CORRECTED_SHARE * np.abs(right - left))
         differences.append(np.where(excluded, np.inf, difference))
@@ -232,7 +232,6 @@ def _disagreement_rad(campaign: Campaign, senses: Senses) -> tuple[BoolArray, Fl
 
 
 def _correction(difference_rad: FloatArray, senses: Senses) -> str:
-    # words of the sense by which headings and counts agree; empty where none is needed or helps
     best = int(np.argmin(difference_rad))
     if difference_rad[0] <= _MIN_DIFFERENCE_RAD or difference_rad[best] >= _CORRECTED_SHARE * difference_rad[0]:
         return ""
@@ -273,7 +272,6 @@ def rounded_values(campaign: Campaign) -> Iterator[Note]:
 
 
 def _coarse_step(values: FloatArray, resolution: float) -> float | None:
-    # the step that all values are multiples of, where it is coarse
     distinct, times = np.unique(values[np.isfinite(values)][:MOST_VALUES], return_counts=True)
     steps = np.diff(distinct)
     repeated = len(steps) > 0 and int(times[times > 1].sum()) >= max(REPEATED_VALUES, MOST_REPEATED * times.sum())
@@ -283,7 +281,7 @@ def _coarse_step(values: FloatArray, resolution: float) -> float | None:
     return float(steps.min()) if np.abs(multiples - np.round(multiples)).max() < STEP_ERROR else None
 
 
-#: a measured distance scatters about that by the counts by more than this share of its standard uncertainty
+#: share of its standard uncertainty by which a measured distance scatters about the counts' at least
 _COPIED: Final = 0.25
 
 
@@ -339,7 +337,7 @@ def late_logs(campaign: Campaign) -> Iterator[Note]:
 
 
 def logged_loads(campaign: Campaign) -> Iterator[Note]:
-    """Find wheel loads of logs that are in another unit than the run table's, that stop, or are of one wheel alone."""
+    """Find logged wheel loads in another unit than the run table's, that stop, or of one wheel alone."""
     known, n_logs = np.zeros((2, len(campaign.runs)), dtype=np.bool_), int(campaign.logs.present.sum())
     for wheel, name in enumerate(WHEEL_LOADS):
         table, gaps = campaign.runs.number(name), []
@@ -347,10 +345,10 @@ def logged_loads(campaign: Campaign) -> Iterator[Note]:
         for run, log in campaign.logs.each(2, name):
             known[wheel, run], at = True, np.flatnonzero(np.isfinite(log[name]))
             low, high = np.nanmin(log[name]), np.nanmax(log[name])
-            # a log that has the load from the start on holds that of the run table
+            # logged from the start, it is the run table's
             if at[0] == 0 and min(table[run], low) > 0.0:
                 ratio[run] = np.clip(table[run], low, high) / table[run]
-            # gaps in loads of every sample, not between loads written now and then
+            # gaps in loads of every sample alone
             if len(at) < len(log[name]) and len(at) >= LEAST_RUNS and np.median(np.diff(at)) == 1.0:
                 gaps.append(run)
         if len(off := np.flatnonzero(np.abs(np.log(ratio)) > _SAME_LOADS)):
@@ -373,7 +371,7 @@ def logged_loads(campaign: Campaign) -> Iterator[Note]:
             yield column_note(name, text, "missing_load", of="logs")
 
 
-_OUTLIER_SPREADS: Final = 6.0  #: of radii about the line over load, beyond which one is an outlier
+_OUTLIER_SPREADS: Final = 6.0  #: of outliers from the line over load
 
 
 def far_from_line(campaign: Campaign) -> Iterator[Note]:
@@ -387,7 +385,7 @@ def far_from_line(campaign: Campaign) -> Iterator[Note]:
             of = of[np.isfinite(ratio + load)[of]]
             if len(of) >= checks.MIN_LINE_RUNS:
                 x = load[of] - load[of].mean()
-                # residuals are smaller at a load far from the others', by its leverage
+                # leverage makes residuals smaller far from other loads
                 away[of] = checks.line_residuals(x, ratio[of]) * np.sqrt(1.0 - x**2 / max(float(x @ x), 1e-300))
         # no less than the rangefinder's share, for exact data and short runs
         with np.errstate(divide="ignore"):

@@ -1,4 +1,4 @@
-"""A laboratory's files and recordings become a campaign: described, mapped, cut into runs."""
+"""Laboratory files and recordings become a campaign: described, mapped, cut into runs."""
 
 import re
 import textwrap
@@ -35,7 +35,7 @@ OF_FOLDERS: Final = "their runs become one campaign; several vehicles: ingest on
 
 
 def folders_of(files: Iterable[Path]) -> str:
-    """Return the names of the folders that files lie in; empty where it is one."""
+    """Return the names of files' folders; empty where it is one."""
     folders = sorted({str(file.parent) for file in files})
     return f"{len(folders)} folders, {folders[0]} .. {folders[-1]}" if len(folders) > 1 else ""
 
@@ -103,7 +103,7 @@ class ColumnContents:
         return (self.high or 0.0) - (self.low or 0.0)
 
     def words(self, alike: "Sequence[ColumnContents]") -> str:
-        """Return the column in words; `alike`: that of all files of its kind."""
+        """Return the column in words; `alike`: of all files of its kind."""
         text = f"{self.name}: "
         if self.kind == "number":
             known = [end for c in alike for end in (c.low, c.high) if end is not None]
@@ -137,7 +137,7 @@ class FileContents:
     #: of the same columns, this one among them; empty where alone
     alike_sheets: tuple[str, ...] = field(default=(), metadata={"json": False})
     runs_in_columns: bool = field(default=False, metadata={"json": False})
-    #: files of names like its own that were not looked into
+    #: files of like names that were not read
     unread: int = field(default=0, metadata={"json": False})
 
     def alike(self, other: "FileContents") -> bool:
@@ -146,7 +146,7 @@ class FileContents:
 
 
 def file_contents(path: Path) -> FileContents:
-    """Return what a file holds; of a workbook, the first sheet whose table names runs.
+    """Return what a file holds; of a workbook, its first table of runs.
 
     Raises BadFileError where it cannot be read.
     """
@@ -207,7 +207,7 @@ def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
     try:
         raw = read_table(path, shown, None, layout)
     except BadFileError:
-        # a first row's values may repeat, a first column's names do not
+        # a first column's names do not repeat
         if n_turned <= _LEAST_NAMES:
             raise
         return turned, other
@@ -276,7 +276,7 @@ def _recording_contents(path: Path, shown: str) -> FileContents:
 
 
 def described(group: Sequence[FileContents], *, is_run_table: bool) -> list[str]:
-    """Return remarks on files with the same columns, the first of them in particular."""
+    """Return remarks on files with the same columns."""
     file = group[0]
     n_files = len(group) + sum(member.unread for member in group)
     alike = f"{n_files} files" + (f", {len(group)} of them read," if n_files > len(group) else "") + " alike"
@@ -303,7 +303,7 @@ def wrapped(text: str, lead: str, hanging: str = "  ") -> list[str]:
 
 
 def run_number(run_id: str, pattern: str | None) -> int | None:
-    """Return the number in a run's name by a pattern (``Run {n}``), or the last number in it."""
+    """Return the number in a run's name by a pattern (``Run {n}``), or the last one."""
     if pattern is None:
         numbers = re.findall(r"\d+", run_id)
         return int(numbers[-1]) if numbers else None
@@ -322,7 +322,7 @@ _PARTS: Final = {
 
 
 def expected_name(log: LogSection, run_id: str, pattern: str | None = None) -> str | None:
-    """Return the name of a run's log by the pattern; None without one, or a number in the run's name.
+    """Return the name of a run's log; None without a pattern, or a number in the run's name.
 
     `pattern`: of ``log.files``; else ``log.file``.
     """
@@ -358,7 +358,7 @@ def _match(name: str, pattern: str) -> re.Match[str] | None:
 
 
 def moment_of(cells: Iterable[Any]) -> tuple[str, ...]:
-    """Return the first date and time in a row's cells as digits, year or day first; else nothing."""
+    """Return the first date and time in cells as digits, year or day first; else nothing."""
     days, second = 0, 0
     for cell in map(str, table.filled_cells(list(cells))):
         for text in (cell, f"{cell} 00:00"):

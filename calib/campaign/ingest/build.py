@@ -85,7 +85,7 @@ def ingest(
     read = read_mapping(mapping)
     settings = parse_settings(read.settings, read.shown, into.name or "campaign")
     work = Ingestion(read, settings, Border(lenient=False), progress)
-    # a mapping names no format, and what it omits is written as assumed
+    # a mapping names no format; what it omits is written as assumed
     work.border.notes.extend(note for note in settings.notes if note.code not in {"format", "default_vehicle"})
     if mapping:
         work.hashes[read.shown] = sha256_file(mapping)
@@ -105,7 +105,7 @@ def _campaign(paths: Sequence[Path], work: Ingestion) -> Campaign:
         first = work.mapping.table_file
         table = _run_table(first, work)
     elif table is None and first.is_dir() and work.mapping.table.columns:
-        # the table of a folder stands beside its logs, beside folders of them, or in each
+        # a folder's table stands beside logs or their folders, or in each
         inside = [path for path in files if path.parent == first] or files[:1]
         beside = [path for path in inside if not holds_recording(path)]
         tables = ((path, _run_table(path, work, named=True)) for path in beside)
@@ -306,7 +306,7 @@ def _record(work: Ingestion) -> dict[str, object]:
 
 
 def merged_notes(notes: Sequence[Note]) -> tuple[Note, ...]:
-    """Return notes, merged where they differ in file, row, run and numbers alone."""
+    """Return notes, those merged that differ in file, row, run and numbers alone."""
 
     def kind(note: Note) -> tuple[str, ...]:
         file, column = _file_and_column(note.where)

@@ -23,7 +23,7 @@ from calib.io import refuse_existing, write_text
 from calib.types import grouped
 
 _MAX_FILES_READ: Final = 40
-#: with a column that no log has, they show a run table without names
+#: beside a column that no log has they show a run table without names
 _RUN_TABLE_NUMBERS: Final = frozenset({"distance_m", "counts_left", "counts_right"})
 _RUN_TABLE_COLUMNS: Final = frozenset(
     {"session", "direction", "kind", "payload_kg", "load_axle_N", "load_left_N", "load_right_N", "temperature_C"}
@@ -66,7 +66,7 @@ class Description:
     sources: tuple[str, ...]
 
     def to_toml(self) -> str:
-        """Return the description as remarks above the proposed mapping: TOML that ingest takes."""
+        """Return remarks above the proposed mapping: TOML that ingest takes."""
         lines = ["# Contents of the files, and a proposed mapping. Check every line, then:"]
         sources = " ".join(f"'{source}'" if re.search(r"\s", source) else source for source in self.sources)
         lines += wrapped(f"calib ingest {sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
@@ -112,7 +112,7 @@ def describe(sources: Sequence[Path]) -> Description:
     lines = _mapping_lines(whole, apart or (_sheets_of_runs(table) if table is not None else []))
     if alike and (folders := ingest.folders_of(paths)):
         lines = wrapped(f"{folders}: {ingest.OF_FOLDERS}", "# ") + lines
-    # the table has to be named first, also one found in a folder
+    # the table is named first, also one of a folder
     names = [str(source) for source in sources]
     ordered = names if table is None else [table.name, *(source for source in names if source != table.name)]
     return Description((*([table] if table else ()), *logs), len(paths), table, tuple(lines), tuple(ordered))
@@ -136,7 +136,7 @@ def _run_table(files: Sequence[FileContents]) -> FileContents | None:
         timed = any(guessed_log_column(column.name) == "t_s" for column in file.columns)
         score = len(guesses) + 3 - 4 * timed
         runs = run_column(file)
-        # of a log cut by a column each run has many rows
+        # a log cut by a column has many rows a run
         single = runs is not None and (runs.kind != "number" or 2 * runs.span + 2 > file.n_rows)
         named = single or (guesses >= _RUN_TABLE_NUMBERS and guesses & _RUN_TABLE_COLUMNS and not has_clock(file))
         if not file.recording and named and score > best_score:

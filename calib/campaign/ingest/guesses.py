@@ -1,4 +1,4 @@
-"""What columns may mean, by names in five languages and by their numbers; how far streams lag."""
+"""What columns may mean, by names in five languages and numbers; how far streams lag."""
 
 import re
 import tomllib
@@ -30,7 +30,7 @@ _UMLAUTS: Final = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss",
 
 @cache
 def shipped() -> dict[str, Any]:
-    """Return the names that columns may have, and the text of empty settings."""
+    """Return columns' possible names, and the text of empty settings."""
     return tomllib.loads(resources.files(__package__).joinpath("names.toml").read_text(encoding="utf-8"))
 
 
@@ -56,7 +56,7 @@ def plain_text(text: str) -> str:
 
 
 def direction_of(text: str) -> str | None:
-    """Return ``out`` or ``back`` where a text names a direction along a corridor."""
+    """Return ``out`` or ``back`` where a text names a direction."""
     plain = plain_text(text)
     return next((way for way, pattern in _names()["direction"].items() if re.fullmatch(pattern, plain)), None)
 
@@ -100,18 +100,18 @@ def count_unit(name: str) -> str | None:
 
 
 def excludes(text: str, valid: bool) -> bool:
-    """Return whether a remark, or the answer whether a run is `valid`, leaves it out."""
+    """Return whether a remark, or an answer on being `valid`, leaves a run out."""
     return re.search(_names()["parts"]["bad"] + r"|^(no?|non|nein|nej|nie)$" * valid, plain_text(text)) is not None
 
 
 def guessed_table_column(name: str) -> str | None:
-    """Return the run table's column that a name may mean, or None."""
+    """Return the run table's column of a name, or None."""
     exact = recognise(name, TABLE_COLUMNS).name
     return exact if exact in TABLE_COLUMNS else _matching(*stem_and_unit(name), "table")
 
 
 def reading_of(name: str) -> tuple[str, str] | None:
-    """Return the distance or counts whose ``start`` or ``end`` (also returned) a column reads; else None.
+    """Return the distance or counts, and ``start`` or ``end``, that a column reads; else None.
 
     `name`: as ``Laser start [mm]`` or ``Zähler links Ende``.
     """
@@ -129,7 +129,7 @@ def reading_of(name: str) -> tuple[str, str] | None:
 
 
 def guessed_log_column(name: str) -> str | None:
-    """Return the log's column that a name may mean, or None; of ``stream:column`` the last part first."""
+    """Return the log's column of a name, or None; of ``stream:column`` the last part first."""
     parts = re.split(r"[:/.]*[:/](?![^\[(]*[\])])", name)
     last = re.sub(r"^(position|velocity|effort)\.", "", parts[-1])
     return _guessed_in_log(last) or _guessed_in_log("_".join(parts).strip("_"))
@@ -146,7 +146,7 @@ def _guessed_in_log(name: str) -> str | None:
 
 
 def _wheel_of(name: str) -> str | None:
-    """Return the wheel of a name with a side and what turns or rolls, in any order: ``left_wheel_angle``."""
+    """Return the wheel of a name with a side and what turns, in any order: ``left_wheel_angle``."""
     parts, (stem, unit) = _names()["parts"], stem_and_unit(name)
     measures, words = SUFFIXES[unit][0] if unit else "", stem.split("_")
 
@@ -181,7 +181,7 @@ def _matching(stem: str, unit: str | None, section: str) -> str | None:
 
 
 def by_rangefinder(name: str) -> bool:
-    """Return whether a column says that an instrument measured its lengths."""
+    """Return whether a column names an instrument of lengths."""
     return re.search(_names()["parts"]["measured"], stem_and_unit(name)[0]) is not None
 
 
@@ -212,10 +212,10 @@ def usual_step(values: FloatArray) -> float:
 _MONOTONIC_SHARE: Final = 0.98
 #: of a turn: an angle's jump back, and the span of one that starts again
 _JUMP, ONE_TURN = 0.75, 1.001
-#: a clock's steps are off the usual one by no more, for this share of them
+#: largest deviation of a clock's steps, for this share of them
 _EVEN, _MOSTLY = 0.05, 0.9
 _MIN_STEP_CORRELATION: Final = 0.2
-#: of its span, by which increments of a drive leave those at rest; of their steps, those back
+#: of its span, by which a drive's increments leave those at rest; of their steps, those back
 _RETURN_SHARE: Final = 0.25
 RISES: Final = "rises without a break"
 _TURNS: Final = {2 * np.pi: "an angle that starts again after 2 pi", 360.0: "an angle that starts again after 360"}
@@ -229,7 +229,7 @@ BEHAVIOURS: Final = {
 
 
 def behaviour(values: FloatArray, *, whole: bool) -> str:
-    """Return what a column's finite numbers (`whole`: integers) do, of `BEHAVIOURS`; else empty."""
+    """Return what finite numbers (`whole`: integers) do, of `BEHAVIOURS`; else empty."""
     steps, span = np.diff(values), float(np.ptp(values))
     if not span:
         return ""
@@ -240,7 +240,7 @@ def behaviour(values: FloatArray, *, whole: bool) -> str:
         steady = np.abs(steps[~jumps]).max(initial=0.0) < 0.5 * turn
         if _JUMP * turn < span <= ONE_TURN * turn and jumps.any() and steady:
             return words
-    # what moves goes on: a counter's steps are alike from one to the next, but where it starts again
+    # what moves goes on: a counter's steps are alike, but where it starts again
     away = np.abs(values[1:] - values[0]) > _RETURN_SHARE * span
     turns = steps[away & (steps != 0)]
     level = abs(values[-1] - values[0]) < 0.1 * _RETURN_SHARE * span and away.mean() > 0.5
@@ -275,10 +275,9 @@ def estimate_lag(
 ) -> Lag | None:
     """Estimate by how much the second stream lags behind the first.
 
-    It is the peak of the correlation of both speeds, central differences smoothed alike; None where these change too
-    little to tell, or do not correlate.
+    Peak of the correlation of both speeds, smoothed central differences; None where these hardly change or correlate.
 
-    `travelled`: a distance or a heading, at times of its own, shape (n_samples,).
+    `travelled`: distance or heading at its own times, shape (n_samples,).
     """
     from scipy.optimize import minimize_scalar
     from scipy.stats import t as student
@@ -288,7 +287,7 @@ def estimate_lag(
     step = max(own_step, other_step, 1e-3)
     if not end - start > 4 * _LARGEST_LAG_S:
         return None
-    # interpolated distances are less noisy: a grid in step with a stream would prefer such a lag
+    # interpolated distances are less noisy: a grid in step with a stream prefers such a lag
     grid_step = max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
     grid = np.arange(start + _LARGEST_LAG_S, end - _LARGEST_LAG_S, grid_step)
     half_window = max(_SPEED_WINDOW_S, step)
@@ -317,7 +316,7 @@ def estimate_lag(
     lag = peak(everything)
     if correlation(lag, everything) < _LEAST_CORRELATION:
         return None
-    # the 95 % interval, with each block of the grid held out in turn
+    # 95 % interval, each block held out in turn
     block = np.arange(len(grid)) * _JACKKNIFE_BLOCKS // len(grid)
     estimates = np.asarray([peak(block != number) for number in range(_JACKKNIFE_BLOCKS)])
     half = float(student.ppf(0.975, _JACKKNIFE_BLOCKS - 1) * np.std(estimates) * np.sqrt(_JACKKNIFE_BLOCKS - 1))

@@ -1,4 +1,4 @@
-"""Logs and recordings under calib's names: streams joined on the wheels' times, counts, clocks."""
+"""Logs and recordings under calib's names: streams on the wheels' times, counts, clocks."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -36,7 +36,7 @@ class MappedLog:
     #: of `LOG_COLUMNS`, SI units, ``t_s`` from the first sample; ``cut`` where a column tells the runs, shape
     #: (n_samples,)
     columns: dict[str, FloatArray]
-    #: time of the first sample: nanoseconds since 1970, or since midnight or the start of the clock
+    #: of the first sample: nanoseconds since 1970, midnight or the clock's start
     start_ns: int
     lags: Mapping[str, Lag] = field(default_factory=dict)
     wrap_bits: int | None = None
@@ -47,8 +47,8 @@ class MappedLog:
 def read_mapped(files: Mapping[str, Path], mapping: LabMapping, settings: Campaign, border: Border) -> MappedLog:
     """Read the log of a run or a recording, sampled at the wheels' times.
 
-    `files`: one under an empty name, or those of a run by the names of ``log.files``. Raises BadFileError where a
-    column that the mapping names is missing, or the file has no clock or no wheels.
+    `files`: one under an empty name, or a run's by the names of ``log.files``. Raises BadFileError where a column of
+    the mapping, the clock or the wheels are missing.
     """
     path = next(iter(files.values()))
     shown = str(path)
@@ -274,7 +274,7 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, settings: Campaign,
 
 
 def _rows_once(columns: Columns, lines: Lines, shown: str, border: Border) -> Columns:
-    # a row of increments written twice adds no counts
+    # increments written twice add no counts
     if not any(name in lines and lines[name].wheel_unit == "counts/sample" for name in columns):
         return columns
     rows = np.nan_to_num(np.stack([*columns.values()]))
@@ -354,7 +354,7 @@ def continuous_angle(angle: FloatArray, turn: float) -> FloatArray:
     return out
 
 
-#: clocks of other time zones are whole half hours apart, but for what starts a little later
+#: clocks of time zones are half hours apart, but for later starts
 ZONE_S, ZONE_WITHIN_S = 1800.0, 60.0
 
 

@@ -1,4 +1,4 @@
-"""The mapping: a TOML file that says which column of a laboratory's export is which, and how logs are named.
+"""The mapping: a TOML file of a laboratory's columns and the names of its logs.
 
 docs/ingest.md has an example of each line.
 """
@@ -20,7 +20,7 @@ from calib.errors import BadFileError
 from calib.io import inside
 from calib.types import GRAVITY_MPS2, SUFFIXES, split_suffix, unit_named
 
-#: a column of the run table: the sheet's name, where runs stand on several
+#: column of the run table with the sheet's name
 SHEET: Final = "sheet"
 TABLE_COLUMNS: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
 
@@ -83,7 +83,7 @@ class MappedColumn(_Model):
     values: dict[str, bool | str | int | float] = Field(
         default_factory=dict, description='texts and their meanings, as {hin = "out", zurueck = "back"}'
     )
-    #: a distance to a target, to become the distance from the run's start; None: as usual for the source
+    #: distance to a target, to become that from the run's start; None: as usual for the source
     from_start: bool | None = Field(default=None, description="true or false")
     lag_s: float = Field(default=0.0, gt=-1e12, lt=1e12, description="a number of seconds")
 
@@ -110,9 +110,9 @@ class MappedColumn(_Model):
         return tuple(filter(None, (self.column, self.minus, self.w)))
 
     def unit_for(self, name: str) -> str | None:
-        """Return the line's unit, or one in the source's name that column `name` may have."""
+        """Return the line's unit, or that in the source's name, for column `name`."""
         if self.unit is not None:
-            # of wheels "rad/s" stays, of all else it is a suffix
+            # "rad/s" of wheels stays
             return self.unit if name.startswith("counts_") else unit_named(self.unit) or self.unit
         ending = split_suffix(self.column)[1] if abs(self.factor) == 1.0 else ""
         unit = unit_spelled(bracketed(self.column)[1] or ending or "")
@@ -131,7 +131,7 @@ class MappedColumn(_Model):
         return f"{split_suffix(name)[0]}_{unit}"
 
     def scale(self, name: str) -> float:
-        """Return the factor beside the unit; a wheel's load in kg is its weight in N."""
+        """Return the factor beside the unit; a load in kg is its weight in N."""
         unit = self.unit_for(name)
         if rate := _frames_per_s(unit):
             return self.factor / rate
@@ -143,9 +143,9 @@ class MappedColumn(_Model):
 
 
 def counts_per_unit(name: str, unit: str, settings: Campaign) -> float:
-    """Return the counts in a unit of a wheel's column `name`, or in a second of a rate.
+    """Return the counts in a unit of a wheel's column `name`, or in a rate's second.
 
-    `unit`: of `COUNT_UNITS`; a length is what a wheel of the nominal radius rolls.
+    `unit`: of `COUNT_UNITS`; a length is rolled at the nominal radius.
     """
     kind, size, _ = COUNT_UNITS[unit]
     if kind == "length":
@@ -213,7 +213,7 @@ class LogSection(_Section):
 
     file: str | None = Field(default=None, pattern=OF_A_RUN + r"|\{time\}", description=_LOG_FILE)
     files: dict[Annotated[str, Field(pattern=r"^\w+$")], str] = Field(default_factory=dict, description=_LOG_FILES)
-    #: of these, the times where they are called otherwise than `t_s`: name -> their column
+    #: name of these -> column of times other than `t_s`
     clocks: dict[str, str | MappedColumn] = Field(
         default_factory=dict, description='names of files and their times, as {camera = "Stamp [ms]"}'
     )
@@ -324,8 +324,8 @@ _Parsed = TypeVar("_Parsed", bound=BaseModel)
 def parse_section(model: type[_Parsed], section: object, shown: str, where: str) -> _Parsed:
     """Check one section of a mapping.
 
-    `shown`, `where`: names of mapping and section in messages. Raises BadFileError where it is no section, or at the
-    first key that cannot be used.
+    `shown`, `where`: mapping and section in messages. Raises BadFileError at the first key that cannot be used, or
+    where it is no section.
     """
     if not isinstance(section, dict):
         raise BadFileError(shown, repr(section)[:60], f"a section [{where}]", "correct the mapping", column=where)

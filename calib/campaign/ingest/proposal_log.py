@@ -1,4 +1,4 @@
-"""The lines proposed for logs and recordings: clock, wheels (both sides or neither), reference, rangefinder."""
+"""Lines proposed for logs and recordings: clock, wheels (both sides or neither), reference, rangefinder."""
 
 import math
 import re
@@ -43,13 +43,13 @@ _CORNERS: Final = {
     "counts_left": ("counts_front_left", "counts_rear_left"),
     "counts_right": ("counts_front_right", "counts_rear_right"),
 }
-#: of its span, by which two coupled wheels of a side differ: they slip, but do not steer
+#: of its span, by which coupled wheels of a side differ: they slip, but do not steer
 _COUPLED_SHARE: Final = 0.02
 _VERTICAL_SHARE: Final = 0.1
 _SPEEDS: Final = ("speed_left_mps", "speed_right_mps")
 _TWIST: Final = ("v_mps", "omega_radps")
 _OF_QUATERNION: Final = re.compile(r"(orientation|quat(ernion)?|q)[._]?z$", re.IGNORECASE)
-#: stem of a pose that no tracker is named in: the vehicle's own, perhaps
+#: stem of a pose without a tracker's name
 _NO_TRACKER: Final = re.compile(r"((robot|base)_)?(pose?|pos(ition)?)?_?(x|y|theta|yaw|heading)")
 _BEARING: Final = "   # beside x and y: the reference's heading, counter-clockwise?"
 _COMPASS: Final = "   # clockwise, of a compass? x = north; factor = -1 here and for y = east"
@@ -57,7 +57,7 @@ SKID_STEER: Final = "   # both wheels of this side turn alike: skid steer; of a 
 
 
 def log_lines(logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the recording or the widest log, and what is missing."""
+    """Return lines for the recording or widest log, and what is missing."""
     if several := {tag: part for tag, (_, part) in files_of_a_run(logs).items()}:
         return _lines_of_several(several, logs)
     log = max(logs, key=lambda file: (file.recording, len(file.columns)))
@@ -121,7 +121,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
     x = chosen.get("ref_x_m")
     eastward = x is not None and re.match("(.*_)?(ost|este?|east)", stem_and_unit(x.name)[0]) is not None
     for target, column in chosen.items():
-        # in the log of the wheels a pose without the name of a tracker may be the vehicle's own
+        # beside the wheels a pose of no named tracker may be the vehicle's own
         own = not log.recording and _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None
         own = own or "odom" in column.name.lower() or "pose.pose" in column.name
         if target == "ref_x_m" and (own or (reference and reference.kind == _ODOMETRY)):
@@ -138,7 +138,7 @@ def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[lis
 
 
 def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], list[str]]:
-    # of several bodies that a tracker sees the one that moves
+    # of several tracked bodies the one that moves
     spans: dict[str, float] = {}
     for column in columns:
         body, _, what = column.name.rpartition(":")
@@ -150,13 +150,13 @@ def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], l
 
 
 def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
-    # last a joint's rate, a pose of no tracker, a length of no instrument
+    # last: a joint's rate, a pose of no tracker, a length of no instrument
     no_tracker = _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None or "odom" in column.name.lower()
     return _VELOCITY in column.name, no_tracker, not guesses.by_rangefinder(column.name)
 
 
 def _one_source(chosen: dict[str, ColumnContents], streams: Mapping[str, StreamContents]) -> ColumnContents | None:
-    # speeds beside counts, or one of two, are dropped; returned is a bearing taken as heading
+    # speeds beside counts, or one of two, are dropped; returned is a bearing as heading
     known = any(name.startswith("counts_") for name in chosen)
     if not known and _TWIST[0] in chosen and _TWIST[1] not in chosen and "gyro_z_radps" in chosen:
         chosen[_TWIST[1]] = chosen.pop("gyro_z_radps")
@@ -187,7 +187,7 @@ def _to_ground(chosen: dict[str, ColumnContents], columns: Sequence[ColumnConten
         return
     spans = [axis.span for axis in axes]
     up = spans.index(min(spans))
-    # a straight run's sideways motion is small, too
+    # so is a straight run's sideways motion
     up = up if spans[up] < _VERTICAL_SHARE * sorted(spans)[1] else 2
     chosen["ref_x_m"], chosen["ref_y_m"] = axes[(up + 1) % 3], axes[(up + 2) % 3]
     turns = [column for column in columns if column.name[-1].lower() == "xyz"[up] and _quaternion_w(column) in named]
@@ -237,7 +237,7 @@ def _time_unit(column: ColumnContents) -> tuple[str | None, str]:
     if _DAY_NUMBERS[0] < low <= high < _DAY_NUMBERS[1] and column.step < _DAY_STEP:
         unit = "day"
     elif unit == "s" and column.whole:
-        # a counter of milliseconds may exceed the seconds since 1970
+        # milliseconds may exceed the seconds since 1970
         unit = next((one for least, one in _UNIT_STEPS if column.step > least), unit)
     return unit, unit_remark("t_s")
 
@@ -259,7 +259,7 @@ def _wheel_lines(
         lines.append(f'#{name} = "{chosen.pop(name).name}"   # looks like a wheel, but no column looks like {other}')
     wheels = [name for name in LOG_COLUMNS if name.startswith("counts_") and name in chosen]
     units = {name: _wheel_unit(chosen[name], streams.get(chosen[name].name)) for name in wheels}
-    # an angle may fall and rise as a rate does: of one vehicle all wheels are alike
+    # angles may vary as rates do: all wheels are alike
     angle = next((each for each in units.values() if each[0] == "rad" and each[1]), None)
     for wheel in wheels:
         column, stream = chosen[wheel], streams.get(chosen[wheel].name)

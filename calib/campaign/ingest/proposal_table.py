@@ -1,4 +1,4 @@
-"""The lines proposed for a run table: its columns, other sheets', and the names of the runs' logs."""
+"""Lines proposed for a run table: its columns, other sheets', and names of logs."""
 
 import re
 from collections.abc import Sequence
@@ -27,14 +27,14 @@ def entry(name: str, column: ColumnContents, unit: str | None, further: dict[str
 
 
 def unit_remark(name: str) -> str:
-    """Return the remark on a column without unit: those it may have."""
+    """Return the remark on a column without unit."""
     return f"   # names no unit: {', '.join(units_for(name))[:40]}"
 
 
 _LONGEST_M: Final = 3.0
-#: numbers below it are as likely wheels' masses in kg as the loads of a robot of 30 kg
+#: smaller loads are as likely in kg as of a robot of 30 kg
 _LIGHT_N: Final = 150.0
-#: times further apart are of runs, not of a log's samples
+#: times further apart are of runs, not samples
 _SHORTEST_RUN_S: Final = 5.0
 _AXLE: Final = "load_axle_N"
 #: date and time in a file's name -> how a mapping writes them
@@ -48,7 +48,7 @@ _MOMENTS: Final = (
 
 
 def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
-    """Return the lines for the run table's columns; runs without `logs` may be nameless."""
+    """Return the run table's lines; runs without `logs` may be nameless."""
     lines = _place_lines(table)
     left: dict[str, list[str]] = {"recognised by their names": [], "kept as covariates": [], "not used": []}
     targets = _targets(table)
@@ -57,7 +57,7 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
     def of(target: str) -> list[ColumnContents]:
         return [column for column in table.columns if targets[column.name] == target]
 
-    # last a date for the session, an axle's load, a length that no instrument measured
+    # last: a date for the session, an axle's load, a length of no instrument
     dates = [one for one in of("session") if stem_and_unit(one.name)[0] in {"datum", "date", "messdatum"}]
     passed_over = dates if len(of("session")) > len(dates) else []
     passed_over += of(_AXLE) if set(WHEEL_LOADS) & set(targets.values()) else []
@@ -79,7 +79,7 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
             name = "direction"
         words = column.kind == "text" and not any(map(is_number, column.texts))
         if name == "distance_m" and words and "kind" not in targets.values():
-            # `Strecke` is a distance, or the route; numbers beside other cells are no routes
+            # `Strecke` is a distance or the route; numbers are no routes
             name = "kind"
         if column in passed_over or name is None or name in named or not _may_be(name, column, table.n_rows):
             left["kept as covariates" if column.kind == "number" else "not used"].append(column.name)
@@ -166,7 +166,7 @@ def _of_wheel(column: ColumnContents, side: str | None) -> str | None:
 
 
 def has_clock(file: FileContents) -> bool:
-    """Return whether a file has a column of times as a log has them."""
+    """Return whether a file has times as a log has."""
     return any(
         (column.even and not (column.whole and _numbers_rows(column)))
         or (column.kind == "time" and column.step < _SHORTEST_RUN_S)
@@ -272,14 +272,14 @@ def _same_labels(by: ColumnContents, key: ColumnContents) -> bool:
 
 
 def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileContents]]:
-    """Return the files that a run's log consists of: a name for each -> its pattern and first such file."""
+    """Return the files of a run's log: a name for each -> its pattern and first such file."""
     if any(log.recording for log in logs):
         return {}
     groups = list(grouped((re.sub(r"\d+", "#", Path(log.name).name), log) for log in logs).values())
     one = all(len(group) == 1 for group in groups)
     patterns = [name_pattern(stems) or stems[0] * one for stems in ([Path(o.name).stem for o in g] for g in groups)]
     whole = [pattern for pattern in patterns if pattern]
-    # files that each hold the wheels are separate runs: run_1_out, run_1_back
+    # files with wheels each are separate runs: run_1_out, run_1_back
     wheels = sum("counts_left" in {guesses.guessed_log_column(c.name) for c in group[0].columns} for group in groups)
     if not 1 < len(groups) == len(whole) or wheels > 1:
         return {}
@@ -296,7 +296,7 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
 
 
 def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list[str]:
-    """Return patterns of the logs' names, where the runs' names do not say them."""
+    """Return patterns of the logs' names, unless the runs' names give them."""
     column = run_column(table) if table else None
     run_ids = column.texts if column is not None and column.kind == "text" else ()
     stems = [Path(log.name).stem for log in logs]
@@ -325,7 +325,7 @@ def file_lines(table: FileContents | None, logs: Sequence[FileContents]) -> list
 
 
 def by_time(table: FileContents, logs: Sequence[FileContents]) -> str | None:
-    """Return the pattern of logs called by the date and time of a run's row, else None."""
+    """Return the pattern of logs named by a run's date and time, else None."""
     moment = moment_of(column.texts[0] for column in table.columns if column.texts)
     pattern, *others = dict.fromkeys(_with_moment([Path(log.name).name for log in logs])) or ("",)
     fits = not others and "{time}" in pattern and any(names_moment(Path(log.name).name, moment) for log in logs)
@@ -340,13 +340,13 @@ def _with_moment(names: Sequence[str]) -> Sequence[str]:
 
 
 def name_pattern(stems: Sequence[str]) -> str | None:
-    """Return what logs' names have in common: a run's number, dates and times, text that differs."""
+    """Return the pattern of logs' names: a run's number, dates and times, text that differs."""
     parts = [re.split(r"(\d+)", stem) for stem in _with_moment(stems)]
     if len({len(part) for part in parts}) > 1 or len(parts[0]) < 2:
         return None
     columns = [[part[at] for part in parts] for at in range(len(parts[0]))]
     numbers = [at for at in range(1, len(columns), 2) if len({int(cell) for cell in columns[at]}) == len(stems)]
-    # a run's number is small: serial numbers and times may differ, too
+    # a run's number is small, beside serial numbers and times
     best = min(numbers, key=lambda at: (max(int(cell) for cell in columns[at]), -at), default=None)
     if best is None:
         return None

@@ -29,13 +29,13 @@ def without_unit(name: str) -> str:
 
 
 def whole_name(column: str, names: Collection[str]) -> str:
-    """Return the name in the file that a mapping gives without its unit; `column` where none is like it."""
+    """Return the file's name of a column that a mapping gives without its unit, else `column`."""
     alike = [name for name in names if without_unit(name) == column.strip()]
     return alike[0] if len(alike) == 1 and column not in names else column
 
 
 def resolved(lines: Mapping[str, MappedColumn], names: Collection[str]) -> dict[str, MappedColumn]:
-    """Return lines with the columns' whole names where they lack the file's unit."""
+    """Return lines with the columns' names in the file, units included."""
 
     def whole(line: MappedColumn) -> MappedColumn:
         update = {key: whole_name(name, names) for key in ("column", "minus", "w") if (name := getattr(line, key))}
@@ -49,7 +49,7 @@ def with_lookups(
 ) -> tuple[RawTable, LabMapping]:
     """Return the run table with looked-up columns and filled cells, and the mapping's lines.
 
-    `path`: the run table's file; `beside`: see `files_of_sheets`. Raises BadFileError where a sheet, column or label is
+    `path`: of the run table; `beside`: see `files_of_sheets`. Raises BadFileError where a sheet, column or label is
     missing.
     """
     lines, columns = dict(mapping.table.columns), dict(raw.columns)
@@ -75,7 +75,7 @@ def with_lookups(
 
 
 def files_of_sheets(mapping: LabMapping, path: Path, files: Sequence[Path], hashes: dict[str, str]) -> dict[str, Path]:
-    """Return the files that a mapping's sheets name where `path` is no workbook; add their hashes."""
+    """Return the files that sheets name where `path` is no workbook; add their hashes."""
     by_sheet: dict[str, Path] = {}
     for target, line in mapping.table.columns.items():
         if line.sheet and path.suffix.lower() != ingest.WORKBOOK:
@@ -129,7 +129,7 @@ def _note_empty_sessions(cells: npt.NDArray[Any], raw: RawTable, shown: str, bor
 
 
 def names_runs(raw: RawTable, mapping: LabMapping) -> bool:
-    """Return whether a table names runs, or has all columns that the mapping names."""
+    """Return whether a table names runs, or has all columns of the mapping."""
     lines = mapping.table.columns
     line, sources = lines.get("run_id"), {source for each in lines.values() for source in each.sources}
     own = any(recognise(name, TABLE_COLUMNS).name == "run_id" for name in raw.columns)
@@ -142,9 +142,9 @@ Rows = dict[tuple[str, ...], tuple[str, int]]
 def mapped_runs(
     raw: RawTable, mapping: LabMapping, settings: Campaign, shown: str, border: Border, known: Rows | None = None
 ) -> RunTable:
-    """Return the run table of a laboratory's table; see `run_table`. `known`: rows of tables before, which grow.
+    """Return the run table of a laboratory's; see `run_table`. `known`: rows of tables before, which grow.
 
-    Raises BadFileError where the mapping names a column or a text that is not there, or the table cannot be used.
+    Raises BadFileError where a column or text of the mapping is missing, or the table cannot be used.
     """
     lines = resolved(mapping.table.columns, raw.columns)
     raw = _without_repeats(_without_end(raw, lines, shown, border), shown, border, {} if known is None else known)
@@ -285,7 +285,7 @@ def _unread(files: Sequence[Path]) -> dict[str, str]:
 
 
 def sheet_of(path: Path) -> tuple[Path, str | None]:
-    """Return a log's file, and the sheet where it is one of a workbook: ``book.xlsx/Run 1``."""
+    """Return a log's file, and its sheet in a workbook: ``book.xlsx/Run 1``."""
     book = path.parent
     return (book, path.name) if book.suffix.lower() == ingest.WORKBOOK and book.is_file() else (path, None)
 
@@ -304,7 +304,7 @@ def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border
 
 
 def files_of_runs(files: Sequence[Path], log: LogSection) -> dict[str, dict[str, Path]]:
-    """Return the runs of files by the patterns of ``log.files``, in order, and the files of each."""
+    """Return runs by the patterns of ``log.files``, in order, with their files."""
     by_run: dict[str, dict[str, Path]] = {}
     for tag, pattern in log.files.items():
         for path in (path for path in files if ingest.fits_name(path.name, pattern)):

@@ -39,7 +39,7 @@ class Segment:
 
 @dataclass(slots=True)
 class Ingestion:
-    """The files of an ingestion, what was read of them, and what is said of it."""
+    """The files of an ingestion, what was read, and what is said of it."""
 
     mapping: LabMapping
     settings: Campaign
@@ -74,7 +74,7 @@ class Ingestion:
 def segment_recordings(
     work: Ingestion, runs: RunTable | None, table: RawTable | None, recordings: Mapping[Path, MappedLog]
 ) -> tuple[RunTable, dict[int, MappedLog]]:
-    """Return rows, and the log of each run by its number; `work` gets recordings and segments.
+    """Return rows, and each run's log by number; `work` gets recordings and segments.
 
     Raises BadFileError where there are not as many segments as rows.
 
@@ -145,7 +145,7 @@ def find_runs(
 ) -> list[slice]:
     """Return the runs of a recording.
 
-    `log`: times from the recording's start, counts, and ``cut`` where a column tells the runs; see `Segmentation`.
+    `log`: times from its start, counts, and ``cut`` where a column tells the runs; see `Segmentation`.
     """
     time = log["t_s"]
     if cut.by == "times":
@@ -167,7 +167,7 @@ def find_runs(
 
 
 def moving(time: FloatArray, wheels: Sequence[FloatArray]) -> BoolArray:
-    """Return where any wheel turns by more than it toggles within half a second, shape (n_samples,)."""
+    """Return where a wheel turns by more than it toggles within half a second, shape (n_samples,)."""
     out: BoolArray = np.zeros(len(time), dtype=np.bool_)
     later = np.minimum(np.searchsorted(time, time + _MOVING_WINDOW_S), len(time) - 1)
     for counts in wheels:
@@ -178,7 +178,7 @@ def moving(time: FloatArray, wheels: Sequence[FloatArray]) -> BoolArray:
 def _between_stops(time: FloatArray, wheels: Sequence[FloatArray], min_stop_s: float) -> list[slice]:
     edges = np.flatnonzero(np.diff(np.concatenate(([False], moving(time, wheels), [False]))))
     starts, ends = edges[::2], edges[1::2] - 1
-    # the window looks ahead: a drive ends up to half a second after its last flag
+    # the window looks ahead: a drive ends after its last flag
     ends = np.minimum(np.searchsorted(time, time[ends] + _MOVING_WINDOW_S), len(time) - 1)
     apart = time[starts[1:]] - time[ends[:-1]] >= min_stop_s
     starts, ends = starts[np.concatenate(([True], apart))[: len(starts)]], ends[np.append(apart, True)[: len(ends)]]
@@ -218,10 +218,10 @@ def _seconds(value: Any, start_ns: int, shown: str) -> float:
 
 
 def from_start(columns: Mapping[str, FloatArray], *, poses: bool, distance: bool) -> dict[str, FloatArray]:
-    """Return a run's columns with poses in its start frame and the range as distance from the start.
+    """Return a run's columns, poses in its start frame, the range from the start.
 
-    The start is the median before the wheels turn: one noisy sample does not turn the path. `poses`, `distance`:
-    whether to change these.
+    The start is the median before the wheels turn: one noisy sample does not turn the path. `poses`, `distance`: what
+    to change.
     """
     out = dict(columns)
     before = max(1, int(np.argmax(moving(columns["t_s"], _wheels(columns)))))
@@ -241,7 +241,7 @@ def from_start(columns: Mapping[str, FloatArray], *, poses: bool, distance: bool
 
 
 def end_values(columns: Mapping[str, FloatArray]) -> dict[str, float]:
-    """Return distance and end pose of a run from its start: medians after the wheels have stopped."""
+    """Return distance and end pose from the start: medians after the wheels stopped."""
     time, wheels = columns["t_s"], _wheels(columns)
     first = len(time) - 1
     if moving(time, wheels).any():

@@ -1,4 +1,4 @@
-"""Readers of tables and recordings; a new format is one function and one line in `READERS`.
+"""Readers of tables and recordings; a new format is a function and a line in `READERS`.
 
 MATLAB's element tree is checked before a reader in C, which trusts every tag.
 """
@@ -62,7 +62,7 @@ def read_table(path: Path, shown: str, wanted: Wanted | None = None, layout: Lay
 def read_recording(path: Path, shown: str, wanted: Callable[[str], bool] | None = None) -> Recording:
     """Read a recording: a ROS bag, TDMS, ``.mat`` or trajectory file.
 
-    See `read_table`; a `WantedColumns` lets whole topics be passed over. Raises BadFileError also of a table.
+    See `read_table`; `WantedColumns` passes over whole topics. Raises BadFileError also of a table.
     """
     recording: Recording = _read(path, shown, wanted, streams=True)
     return recording
@@ -93,9 +93,10 @@ def joined_table(
     shifts_s: Mapping[str, float] | None = None,
     clock: bool = True,
 ) -> RawTable:
-    """Return the recording as one table on the times of `base` (by default the longest), the others interpolated.
+    """Return the recording as one table on the times of `base` (by default the longest).
 
-    `shifts_s`: column -> lag, taken off; `clock`: whether `base` has the clock, else columns of its length are kept.
+    Others are interpolated. `shifts_s`: column -> lag, taken off; `clock`: whether `base` has one, else columns of its
+    length are kept.
     """
     if not recording.streams:
         return RawTable({}, np.zeros(0, dtype=np.int64), recording.notes)
@@ -272,7 +273,7 @@ def _array(content: memoryview, order: str, depth: int) -> None:
     wanted = 3 + (2 if kind == _SPARSE else 0) + 1 + is_complex
     if _CHARACTERS <= kind <= _LAST_NUMERIC and len(parts) < wanted:
         raise ValueError(f"an array of class {kind} with {len(parts)} of {wanted} elements")
-    # MATLAB's own objects have a name where others have dimensions
+    # MATLAB's objects have a name in place of dimensions
     sizes = struct.unpack(f"{order}{len(parts[1][1]) // 4}i", parts[1][1][: len(parts[1][1]) // 4 * 4])
     places = 1
     for size in sizes:
@@ -360,7 +361,7 @@ def _streams(group: str, channels: "Mapping[str, TdmsChannel]") -> list[Stream]:
         time, clock, columns = _time(next(iter(members.values()))), "waveform properties", {}
         for name, channel in members.items():
             if channel[0:1].dtype.names:
-                # a channel of time stamps is the clock of those beside it
+                # the clock of channels beside it
                 time, clock = _moments_ns(channel[:]), f"time stamps of {name}"
             else:
                 columns[name] = floats(channel[:])

@@ -1,4 +1,4 @@
-"""Text tables: encoding, remarks, delimiter and decimal mark are recognised and noted."""
+"""Text tables: encoding, remarks, delimiter and decimal mark are recognised."""
 
 import codecs
 import csv
@@ -23,7 +23,7 @@ from calib.types import FloatArray, grouped, unit_named
 _DELIMITERS: Final = {",": "commas", ";": "semicolons", "\t": "tabs"}
 _CELL_BYTES: Final = {mark: bytes(set(range(256)) - {ord(mark), 10}) for mark in _DELIMITERS}
 _HEAD_BYTES: Final = 1 << 16
-#: smaller tables of numbers are read without pandas, whose import takes longer
+#: smaller tables are read without pandas, whose import takes longer
 NUMPY_BYTES: Final = 1 << 16
 _NUMBER_BYTES: Final = b"0123456789+-.eE\n"
 _FEW_ROWS, _LEAST_LINES = 8, 2
@@ -77,7 +77,7 @@ def read(path: Path, shown: str, wanted: Wanted | None, layout: Layout) -> RawTa
 
 
 def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTable | None]:
-    """Read the plain ones of many small files, those of one header at once; else None."""
+    """Read many small plain files, those of one header at once; else None."""
     tables: list[RawTable | None] = [None] * len(files)
     plain = ((index, _plain_csv(path, shown)) for index, (path, shown) in enumerate(files))
     groups = grouped((parts[0], (index, parts[1])) for index, parts in plain if parts)
@@ -151,7 +151,7 @@ def _locate_header(data: bytes, layout: Layout, shown: str) -> tuple[str, int]:
 
 
 def of_one_width(body: bytes, width: int, delimiter: str) -> bool:
-    """Return whether every line of a text without quotes has `width` cells."""
+    """Return whether every line has `width` cells; no quotes."""
     line = delimiter.encode() * (width - 1) + b"\n"
     marks = body.translate(None, _CELL_BYTES[delimiter]) + (b"" if body.endswith(b"\n") else b"\n")
     return marks == line * (len(marks) // len(line))
@@ -373,7 +373,7 @@ def _split_cells(lines: Sequence[str], delimiter: str) -> list[list[str]]:
 
 def _find_delimiter(lines: Sequence[str]) -> str:
     filled = [line for line in lines if line.strip()][: table.HEADER_ROWS]
-    # first of equals: commas as regular as semicolons are decimal
+    # commas as regular as semicolons are decimal
     regular = {}
     for mark in (";", "\t", ","):
         counts = itertools.groupby(len(row) for row in _split_cells(filled, mark))

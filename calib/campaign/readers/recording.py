@@ -1,4 +1,4 @@
-"""Recordings: streams with clocks of their own in integer nanoseconds; the readers of TUM trajectories and of ROS."""
+"""Recordings: streams with own clocks in integer nanoseconds; readers of TUM trajectories and ROS."""
 
 import math
 import re
@@ -70,7 +70,7 @@ class Stream:
         return len(next(iter(self.columns.values()))) if self.columns else 0
 
     def contents(self) -> StreamContents:
-        """Return what the stream holds, and its clock's span, rate and gaps."""
+        """Return what the stream holds."""
         held = (self.name, self.kind, len(self), self.clock, tuple(self.columns))
         times = np.zeros(0, dtype=np.int64) if self.time_ns is None else self.time_ns
         steps_s = np.diff(times) / NS_PER_S
@@ -182,12 +182,12 @@ def decimal_ns(text: str) -> int:
 _STAMPED_SHARE: Final = 0.99
 _TWIST: Final = ("v_x", "v_y", "omega")
 
-#: part of a message: suffix of its stream, columns, numbers, header with a stamp
+#: suffix of a message part's stream, columns, numbers, header with a stamp
 Part = tuple[str, tuple[str, ...], Sequence[float], Any]
 
 
 def record_ros(path: Path, shown: str, wanted: Callable[[str], bool] | None) -> Recording:
-    """Read the topics of known message types; only the wanted numbers are kept."""
+    """Read topics of known message types; only wanted numbers are kept."""
     with _opened(path, shown) as reader:
         known = [connection for connection in reader.connections if connection.msgtype in MESSAGE_TYPES]
         if isinstance(wanted, WantedColumns):
@@ -249,7 +249,7 @@ class _Buffer:
 
 
 def _named_apart(streams: Iterable[Stream]) -> Iterator[Stream]:
-    # of a topic's streams of different joints the largest keeps its name
+    # the largest of a topic's streams keeps its name
     taken: dict[str, int] = {}
     for stream in sorted(streams, key=len, reverse=True):
         number = taken[stream.name] = taken.get(stream.name, 0) + 1

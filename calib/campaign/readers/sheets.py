@@ -1,4 +1,4 @@
-"""Tables as laboratories keep them: several header rows, a row of units, remarks, means and sums among the rows."""
+"""Laboratories' tables: several header rows, units, remarks, means and sums among the rows."""
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,7 +16,7 @@ from calib.errors import BadFileError
 from calib.types import SUFFIXES, unit_named
 
 Rows = list[tuple[int, Sequence[Any]]]
-#: unit of a wheel's column -> what its numbers are, turns (or counts, metres) a unit, other spellings
+#: unit of a wheel's column -> kind of numbers, turns (or counts, metres) a unit, other spellings
 COUNT_UNITS: Final[Mapping[str, tuple[str, float, str | None]]] = {
     "counts": ("counts", 1.0, r"counts?|cn?ts?|ticks?|(im)?pulses?|in[ck]|imp"),
     "counts/sample": ("increments", 1.0, r"increments|(cnt|ticks)/sample|counts/step"),
@@ -58,7 +58,7 @@ SUMMARY: Final = re.compile(
 
 
 def heading(numbered: Rows, layout: Layout, shown: str, above: Sequence[Any] = ()) -> tuple[list[str], int, list[Note]]:
-    """Return the columns' names, with units in brackets, how many rows they take, and notes.
+    """Return names with units in brackets, how many rows they take, and notes.
 
     `numbered`: the header first; `above`: the row over it; see `table_rows`.
     """
@@ -98,7 +98,7 @@ def heading(numbered: Rows, layout: Layout, shown: str, above: Sequence[Any] = (
 
 
 def looks_like_units(row: Sequence[Any]) -> bool:
-    """Return whether a row holds units: some known or in brackets, the others short."""
+    """Return whether a row holds units: some known or in brackets, others short."""
     cells = [str(cell).strip() for cell in filled_cells(row)]
     if not cells or any(map(is_number, cells)):
         return False
@@ -109,7 +109,7 @@ def looks_like_units(row: Sequence[Any]) -> bool:
 
 
 def _holds_units(rows: Sequence[Sequence[Any]], at: int) -> bool:
-    # beneath a name that spans columns stand their names: Load, Counts
+    # names beneath one that spans columns: Load, Counts
     named = {column for row in rows[:at] for column, cell in enumerate(row) if is_filled(cell)}
     return looks_like_units(rows[at]) and {column for column, cell in enumerate(rows[at]) if is_filled(cell)} <= named
 
@@ -149,7 +149,7 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
             break
         texts = [cell for cell in over if cell.lower() not in table.EMPTY]
         wide = len(texts) >= _TEXT_SHARE * len(numeric) > 0
-        # a second row of names stands over numbers alone
+        # second names stand over numbers alone
         further = len(texts) > 1 and set(filled) <= set(numeric)
         if _holds_units(rows, at):
             return at + 1
@@ -228,7 +228,7 @@ def finished(
 def table_rows(
     names: list[str], rows: Rows, n_rows: int, layout: Layout, shown: str
 ) -> tuple[list[str], Rows, list[Note]]:
-    """Return names, and the rows beneath the header; of a laboratory's those of the table, others noted.
+    """Return names, and the rows beneath the header; a laboratory's other rows are noted.
 
     `rows`: the `n_rows` of the header first; see `heading`.
     """
@@ -270,7 +270,7 @@ def table_rows(
         f"{name} [{unit}]" if unit and not _UNIT_AT_END.search(name) else name
         for name, unit in zip(names, units, strict=True)
     ]
-    # Day 1, Day 2, each above its rows
+    # Day 1, Day 2 above rows
     headings = list(dict.fromkeys(above))
     if all(headings) and len(headings) > 1 == len({*map(_shape, headings)}):
         notes = [one for one in notes if one.text.split("'")[1] not in headings]

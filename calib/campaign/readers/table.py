@@ -1,4 +1,4 @@
-"""Tables as read; header, numbers and times, nothing guessed."""
+"""Tables as read: header, numbers and times."""
 
 import itertools
 import re
@@ -20,7 +20,7 @@ Notes = list[Note] | None
 
 NS_PER_S: Final = 1_000_000_000
 GAP_STEPS: Final = 5.0
-#: no measurement is larger, and squares would overflow
+#: no measurement is larger; squares would overflow
 LARGEST_VALUE: Final = 1e30
 #: rows searched for the header; loggers' preambles are shorter
 HEADER_ROWS: Final = 60
@@ -148,7 +148,7 @@ def turned(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
 
 
 def format_words(cells: Sequence[Any] | npt.NDArray[Any]) -> str:
-    """Return in words how times are written; empty for no time."""
+    """Return the form of times in words; empty for none."""
     if (form := time_format(str(cells[0]))) is None:
         return ""
     month_first = form == "slashes" and _month_before_day(cells)
@@ -156,7 +156,7 @@ def format_words(cells: Sequence[Any] | npt.NDArray[Any]) -> str:
 
 
 def find_header(rows: Sequence[Sequence[Any]]) -> int | None:
-    """Return the index of the first row of texts about as wide as those below, with a number soon beneath."""
+    """Return the index of the first row of texts as wide as those below, a number soon beneath."""
     filled = [filled_cells(row) for row in rows]
     for index, cells in enumerate(filled):
         below = sorted(len(row) for row in filled[index + 1 :] if row)
@@ -189,7 +189,7 @@ def numbers(
 ) -> tuple[FloatArray, bool]:
     """Return cells as numbers, NaN where empty, and whether a decimal comma was read.
 
-    Raises BadFileError at the first cell that is no finite number, or could be read in two ways.
+    Raises BadFileError at a cell that is no finite number, or ambiguous.
     `decimal_comma`: see `comma_evidence`; without, ``1,234`` is refused.
     """
     if cells.dtype != object:
@@ -262,7 +262,7 @@ def _ambiguous(shown: str, column: str, row: int, text: str) -> BadFileError:
 
 
 def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
-    """Return whether a file writes decimal commas, if its cells tell."""
+    """Return whether a file has decimal commas, if its cells tell."""
     comma = point = False
     for cells in columns:
         for cell in cells if cells.dtype == object else ():

@@ -1,4 +1,4 @@
-"""Excel workbooks (``.xlsx``), counted before they are unpacked, and Parquet tables with the ``parquet`` extra."""
+"""Excel workbooks (``.xlsx``), counted before unpacking, and Parquet tables (extra ``parquet``)."""
 
 import datetime
 import re
@@ -101,7 +101,7 @@ def _opened(path: Path, shown: str, *, results: bool = True) -> Iterator[Any]:
 
 
 def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> tuple[str, Rows, int, list[Note]]:
-    # its name, rows that hold something, the header's index among them, and what was filled in
+    # name, filled rows, the header's index among them, what was filled in
     if layout.sheet is not None and layout.sheet not in book.sheetnames:
         actual = f"the sheets {', '.join(map(str, book.sheetnames))[:200]}"
         raise BadFileError(shown, actual, f"a sheet {layout.sheet!r}", "correct sheet of the mapping")
@@ -189,7 +189,7 @@ def _dated(cells: list[Any]) -> list[Any]:
 
 
 def check_size(path: Path, shown: str) -> int:
-    """Return the last filled row of any sheet; raises BadFileError beyond limits of `calib.errors`."""
+    """Return the last filled row of any sheet; BadFileError beyond limits of `calib.errors`."""
     try:
         with zipfile.ZipFile(path) as archive:
             return _check_parts(archive, shown)

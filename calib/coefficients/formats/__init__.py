@@ -1,4 +1,4 @@
-"""Export formats and what they share; a new format is one function in a file of this folder, and one line here."""
+"""Export formats and what they share; a new one is a function in this folder, and a line here."""
 
 import hashlib
 from collections.abc import Iterable, Sequence
@@ -32,7 +32,7 @@ FORMATS: Final = {
 WITH_NOISE: Final = frozenset({"json", "ros2", "c"})
 #: formats of a vehicle, which have no effects
 RADII_ONLY: Final = frozenset({"ros2", "c", "csv"})
-#: formats that change a copy of the user's model, and those that know two wheels on one axle alone
+#: formats that change a copy of the user's model, and those of two wheels on one axle
 PATCHING: Final = frozenset({"mjcf", "urdf", "sdf"})
 AXLE_ONLY: Final = PATCHING | {"c", "c_effects", "csv"}
 #: of a checksum: sha256: and 16, enough to find the file
@@ -86,7 +86,7 @@ def refuse_loads(loads: object, to: str) -> None:
 class ExportOptions:
     """Choices of an export; a format ignores those that it has no use for."""
 
-    #: load points, for formats that hold for single loads; none: the format's own choice
+    #: for formats of single loads; none: the format's choice
     loads: tuple[LoadPair, ...] = ()
     #: names of ROS 2 controllers; none: those of the vehicle's drive
     controllers: tuple[str, ...] = ()
@@ -94,7 +94,7 @@ class ExportOptions:
     position_feedback: bool = True
     #: whether the controllers integrate commands in place of the encoders
     open_loop: bool = False
-    #: the user's model of the vehicle, and the names of its rear wheels in there
+    #: the user's model, and its names of the rear wheels
     model: Path | None = None
     left: str = ""
     right: str = ""
@@ -105,7 +105,7 @@ USUAL: Final = ExportOptions()
 
 
 def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[dict[str, str]]:
-    """Write the files of an export to a file, where there is one and `output` is no folder, else into that folder.
+    """Write an export to a file, where it is one and `output` is no folder, else into that folder.
 
     Returns ``path`` and ``sha256`` of each. Raises BadInputError where a file exists, unless `force`.
     """
@@ -123,7 +123,7 @@ def place(artifacts: Sequence[Artifact], output: Path, *, force: bool) -> list[d
 
 
 def default_loads(file: "CoefficientFile") -> tuple[LoadPair, ...]:
-    """Return the load points of the load table, else ends and reference of the common valid range, or any load."""
+    """Return the load table's points, else ends and reference of the common valid range, or any load."""
     if file.load_table:
         return tuple(LoadPair(p.load_left.value, p.load_right.value, p.name) for p in file.load_table)
     left, right = file.law.left, file.law.right
@@ -154,7 +154,7 @@ def ascii_line(text: str) -> str:
 
 
 def left_out_lines(file: "CoefficientFile", what: str) -> list[str]:
-    """Return what `what`, the file or header that is written, leaves out, and the findings that the user accepted."""
+    """Return what `what`, a file or header, leaves out, and the findings that the user accepted."""
     from calib.coefficients.file import fitted_beside
 
     lines = [f"NOT in this {what}: effect {ascii_line(part.effect)} of the simulator's model" for part in file.effects]
@@ -162,7 +162,7 @@ def left_out_lines(file: "CoefficientFile", what: str) -> list[str]:
 
 
 def assumed_note(file: "CoefficientFile") -> tuple[str, ...]:
-    """Return which numbers of the file were neither measured nor stated, as one sentence; nothing without any."""
+    """Return which numbers were neither measured nor stated, as a sentence, if any."""
     values = []
     for place in file.assumed:
         quantity = attrgetter(place)(file)
@@ -173,7 +173,7 @@ def assumed_note(file: "CoefficientFile") -> tuple[str, ...]:
 
 
 def accepted_lines(file: "CoefficientFile") -> list[str]:
-    """Return what makes a law doubtful, and why one beyond the bounds of its vehicle was passed on; else nothing."""
+    """Return what makes a law doubtful, and why it was accepted; else nothing."""
     accepted, doubts = file.accepted_implausible, [f"DOUBTFUL: {ascii_line(one)}" for one in file.failed_checks]
     if accepted is None:
         return doubts
@@ -185,7 +185,7 @@ def accepted_lines(file: "CoefficientFile") -> list[str]:
 
 
 def number(value: float) -> str:
-    """Return a float as text with a decimal point, which YAML readers need to take it for one."""
+    """Return a float as text with a decimal point, which YAML needs."""
     mantissa, mark, exponent = repr(float(value)).partition("e")
     return (mantissa if "." in mantissa else f"{mantissa}.0") + mark + exponent
 
@@ -206,7 +206,7 @@ def templates() -> "Environment":
     """Return the templates of this folder."""
     environment = templates_of(__name__)
     environment.filters |= {"ascii_line": ascii_line, "c_number": c_number, "literal": _c_literal, "number": number}
-    # six digits are more than a variance is known to
+    # no variance is known better
     environment.filters["variance"] = lambda value: number(float(f"{value:.6g}"))
     return environment
 

@@ -54,7 +54,7 @@ class FixedPoint:
 
 def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
     """Return the integer form of the law of a wheel; refused where 32 bits of nm and mN are too few."""
-    # inwards to whole millinewtons, but for the last bits of a decimal that a double cannot hold
+    # inwards to whole millinewtons, but for last bits of a double
     low = math.ceil(Fraction(wheel.valid_load.min.value) * 1000 - LAST_BITS_MN)
     high = math.floor(Fraction(wheel.valid_load.max.value) * 1000 + LAST_BITS_MN)
     slope_nm_per_mN = Fraction(wheel.slope.value) * 10**6
@@ -71,13 +71,13 @@ def fixed_point(wheel: WheelSection, side: str) -> FixedPoint:
     while shift > 1 and (base_nm + abs(slope_nm_per_mN) * span + 2) * 2**shift >= INT64_HALF:
         shift -= 1
     base, slope = round(base_nm * 2**shift), round(slope_nm_per_mN * 2**shift)
-    # rounding to nanometres, plus the error of rounded base and slope (linear: worst at an end)
+    # rounding to nm, and of base and slope (linear: worst at an end)
     rounding = [abs(base + slope * at - (base_nm + slope_nm_per_mN * at) * 2**shift) / 2**shift for at in (0, span)]
     return FixedPoint(base, slope, shift, low, high, Fraction(1, 2) + max(rounding))
 
 
 def coefficients_header(file: CoefficientFile, _options: ExportOptions) -> tuple[Artifact, ...]:
-    """Return the header of a coefficient file; it holds the whole law, so options change nothing."""
+    """Return the header of a coefficient file; options change nothing."""
     data = rendered(
         "c_header.h.j2",
         file=file,
@@ -96,7 +96,7 @@ def coefficients_header(file: CoefficientFile, _options: ExportOptions) -> tuple
 
 
 EFFECTS_NAME: Final = "calib_effects.h"
-#: forms that act through what a single run does not know, as in `calib.runtime.effects`
+#: forms that act through what a run does not know, as in `calib.runtime.effects`
 OTHER_FORMS: Final = ("change of load", "per session", "along the corridor alone", "other routes", "distance")
 #: macro of an effect of a further column of the run table
 COVARIATE: Final = "covariate"
@@ -140,7 +140,7 @@ class _Effect:
 
 
 def effects_header(file: CoefficientFile, _options: ExportOptions) -> tuple[Artifact, ...]:
-    """Return the header of a coefficient file, with the law alone where it has no effects; options change nothing."""
+    """Return the header with effects, or the law alone; options change nothing."""
     known = known_effects()
 
     def acts(section: EffectSection) -> bool:
@@ -170,9 +170,9 @@ LOAD_DECIMALS: Final = 3
 
 
 def radius_table(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
-    """Return radius against load, with its uncertainty, at the loads chosen, else at 41 over both wheels' valid ranges.
+    """Return radius against load, with uncertainty, at chosen loads, else at 41 over the valid ranges.
 
-    A cell stays empty where a wheel's law was not measured at that load and the file says refuse.
+    A cell is empty where a wheel's law was not measured and the file says refuse.
     """
     sides = {"left": file.law.left, "right": file.law.right}
     pairs = [(pair.left_N, pair.right_N) for pair in options.loads]
@@ -238,7 +238,7 @@ OF_FRONT: Final = ("tricycle_controller",)
 
 
 def controllers_of(file: CoefficientFile, options: ExportOptions) -> tuple[Artifact, ...]:
-    """Return one YAML a load point, with the controllers of the vehicle's drive or those chosen."""
+    """Return a YAML a load point, with the drive's controllers or those chosen."""
     together = file.joint_geometry
     steered = together is not None and together.source == "front"
     controllers = options.controllers or (OF_FRONT if steered else OF_DRIVE[file.geometry.drive])
@@ -281,7 +281,7 @@ TURN_RATE_RADPS: Final = 1.0
 WINDOW_S: Final = 0.1
 #: variances of height, roll and pitch, which odometry in the plane does not measure
 UNSEEN: Final = (1e6, 1e6, 1e6)
-#: standard uncertainties where nothing was calibrated: a length (relative), the steering's zero (one degree), its scale
+#: uncalibrated standard uncertainties: a length (relative), the steering's zero (one degree), its scale
 LENGTH_STD: Final = 0.01
 STEERING_ZERO_STD_RAD: Final = math.radians(1.0)
 STEERING_SCALE_STD: Final = 0.01
@@ -301,24 +301,24 @@ class Diagonals:
 
 
 def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
-    """Return the diagonals of odometry from two wheels on an axle at a load point, or the nearest valid one."""
+    """Return the diagonals of two wheels on an axle at a load point, or the nearest valid one."""
     law, track = file.law, file.vehicle.track.value
     loads = formats.within_N(file, pair)
     radius = np.array([float(law.left.radius_m(loads[0])), float(law.right.radius_m(loads[1]))])
     left, right = 1.0 / radius
-    # change of path per metre, of heading per metre, and of heading per radian, by radii and track
+    # change of path per metre, of heading per metre and per radian, by radii and track
     path = [0.5 * left, 0.5 * right]
     rates = np.array([[*path, 0.0], [-left / track, right / track, 0.0], [*path, -1.0 / track]])
     per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
     reading = (0.25 * float(count.sum()), float(count.sum()) / track**2)
-    # of one journey: the scatter of single runs about the law is in it
+    # of one journey: with the scatter of single runs
     scatter = np.diag([*(wheel.residual_std.value**2 for _, wheel in file.wheels), 0.0])
     return _diagonals(file, rates, law.covariance_at(loads, file.vehicle.track_std.value) + scatter, reading)
 
 
 def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:
-    """Return the diagonals of odometry from the steering, assumed where the geometry lacks it, and traction wheels.
+    """Return the diagonals of steering, assumed where the geometry lacks it, and traction wheels.
 
     `traction` ({"front", "rear", "shaft"}): what turning is measured: front wheel, rear wheels, or drive shaft behind.
     """
@@ -366,7 +366,7 @@ def _diagonals(
     walked = (SPEED_MPS + WAY_PER_RAD_M * TURN_RATE_RADPS) / WINDOW_S
     twist = (
         SPEED_MPS**2 * stretch + walked * along + 2.0 * of_path / WINDOW_S**2,
-        # lateral speed is taken as zero, its random walk as that of the path
+        # lateral speed is zero, its random walk that of the path
         walked * along,
         *UNSEEN,
         SPEED_MPS**2 * bend + TURN_RATE_RADPS**2 * turn + walked * heading + 2.0 * of_heading / WINDOW_S**2,

@@ -1,4 +1,4 @@
-"""A simulator's model file: read safely, and changed in single attributes and texts, every other byte as it was.
+"""A simulator's model file: read safely, changed in single attributes and texts, other bytes as they were.
 
 Documents with a DOCTYPE are refused: entities could grow without end or name other files.
 """
@@ -23,7 +23,7 @@ from calib.types import grouped
 LARGEST: Final = 50_000_000
 #: significant digits of a length: a nanometre of a metre
 DIGITS: Final = 9
-#: a radius beyond this factor of the calibrated one is in another unit, or another wheel's
+#: a radius off by more than this factor is in another unit, or another wheel's
 FACTOR: Final = 2.0
 _ATTRIBUTE: Final = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
 
@@ -49,7 +49,7 @@ class Node:
             yield from child.walk()
 
     def child(self, tag: str, name: str | None = None) -> "Node | None":
-        """Return the first child of that tag, and name where one is given; None where there is none."""
+        """Return the first child of that tag, and name if given, or None."""
         alike = (child for child in self.children if child.tag == tag)
         return next((child for child in alike if name is None or child.attributes.get("name") == name), None)
 
@@ -115,7 +115,7 @@ class ModelFile:
         return end
 
     def set_attribute(self, node: Node, name: str, value: str) -> None:
-        """Set an attribute, added at the end of the tag where it is not there."""
+        """Set an attribute, a new one at the end of the tag."""
         node.attributes[name] = value
         at = node.start + 1 + len(node.tag.encode())
         while match := _ATTRIBUTE.match(self.data, at):
@@ -138,7 +138,7 @@ class ModelFile:
         self._changes[begin + left, begin + right] = value.encode()
 
     def insert_child(self, node: Node, text: str) -> None:
-        """Insert an element as the first child; `node` has a start tag and an end tag of its own."""
+        """Insert an element as the first child of a `node` with both tags."""
         self._insert(self.data.index(b">", node.tag_end) + 1, text.encode())
 
     def _insert(self, at: int, data: bytes) -> None:
@@ -197,7 +197,7 @@ class _NewWheels:
 
 
 def numbers(text: str, where: str, count: int | None = None) -> tuple[float, ...]:
-    """Return the finite numbers of an attribute or text, `count` of them where given; an open macro has none."""
+    """Return the finite numbers of a text, `count` of them if given; an open macro has none."""
     try:
         values = tuple(float(part) for part in text.split())
     except ValueError:
@@ -257,7 +257,7 @@ def named(candidates: Iterable[tuple[str, Node]], name: str, path: Path, option:
     raise BadInputError(f"{option}: found {name!r}; expected a wheel of {path.name}: {listed}; choose one of them")
 
 
-#: share of its radius within which another wheel counts as like those that are set
+#: share of its radius within which another wheel is like those set
 LIKE_RADIUS: Final = 0.1
 #: types of a joint that turns; MuJoCo's where none is stated
 TURNING: Final = frozenset({"continuous", "revolute", "hinge"})
@@ -301,7 +301,7 @@ def patched(
     root_tag: str,
     wheel: FindWheel,
 ) -> tuple[Artifact, ...]:
-    """Return the user's model with both wheels and the drive plugins set, and what it cannot express; see `FindWheel`.
+    """Return the user's model, wheels and drive plugins set, and what it cannot express; see `FindWheel`.
 
     Raises BadInputError where model, names or loads cannot be used.
     """

@@ -35,7 +35,7 @@ POSE: Final = (Channel.ALONG, Channel.LATERAL, Channel.HEADING)
 ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
 #: of nav2_amcl
 DEFAULT_ALPHA: Final = 0.2
-#: bounds that are tried, a third of a per cent apart: from a micrometre in a kilometre
+#: bounds tried, a third of a per cent apart: from a micrometre in a kilometre
 BOUNDS: Final = np.geomspace(1e-15, DEFAULT_ALPHA, 10_000)
 #: rise of the misfit beyond chance: half of the 90 % quantile of chi^2, for a size that cannot be negative
 BEYOND_CHANCE: Final = 1.353
@@ -146,7 +146,7 @@ def spread_of(path: PredictedPath, units: BoolArray, model: str) -> Spread:
 
 
 def sizes_of(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None) -> FloatArray:
-    """Return the components' sizes (n_components,), none below zero, that fit residuals (n_obs, 3) best.
+    """Return the sizes (n_components,), none below zero, that fit residuals (n_obs, 3) best.
 
     By the likelihood of along, lateral and heading, each by itself. `begin`: sizes near the solution.
     """
@@ -159,7 +159,7 @@ def _fit(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None)
     components = np.einsum("cuii->cui", spread.components).reshape(len(spread.names), residuals.size)
     reference = np.einsum("uii->ui", spread.reference).ravel()
     square = residuals.ravel() ** 2
-    # each component as large as the residuals: one step of the search fits all
+    # scaled to the residuals: one step of the search fits all
     relative = components.reshape(len(components), *residuals.shape) / np.mean(residuals**2, axis=0)
     unit = 1.0 / np.maximum(np.mean(relative, axis=(1, 2)), 1e-30)
     scaled = unit[:, None] * components
@@ -179,8 +179,7 @@ def _fit(spread: Spread, residuals: FloatArray, begin: FloatArray | None = None)
 def stated(spread: Spread, residuals: FloatArray, raised: float = 1.0) -> tuple[dict[str, float], tuple[str, ...]]:
     """Return each component's size, times `raised`, and the names of those left undetermined.
 
-    Without these the fit is worse by no more than chance. They have the most that the residuals allow with any sizes of
-    the others.
+    Without these the fit is worse by chance at most. They have the most that the residuals allow with any others.
     """
     limit = _fit(spread, residuals)[0] + BEYOND_CHANCE
     on = np.ones(len(spread.names), dtype=np.bool_)
@@ -213,7 +212,7 @@ class Fitted:
 
 
 def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
-    """Fit the sizes, and hold each tenth of the runs of every kind (n_obs,) against the others' sizes.
+    """Fit the sizes, each tenth of the runs of a kind (n_obs,) against the others' sizes.
 
     The sizes are raised until runs held out scatter as predicted in the mean of the three.
     """
@@ -231,7 +230,7 @@ def fitted(spread: Spread, residuals: FloatArray, kinds: StrArray) -> Fitted:
     raised = max(1.0, float(np.exp(2.0 * np.mean(np.log(ratios(reference + added, residuals))))))
     variance = reference + raised * added
     ratio = ratios(variance, residuals)
-    # degrees of freedom by the squares' own scatter (Satterthwaite): fewer with heavy tails
+    # degrees of freedom by the squares' scatter (Satterthwaite): fewer with heavy tails
     normal = ratio**2 * variance
     scatter = np.sum((residuals**2 - normal) ** 2, axis=0)
     freedom = 2.0 * np.sum(residuals**2, axis=0) ** 2 / np.maximum(scatter, 2.0 * np.sum(normal**2, axis=0))

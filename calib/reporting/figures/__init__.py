@@ -1,4 +1,4 @@
-"""Figures, drawn without a display; here their style, and their files: the same bytes for the same figure."""
+"""Figures, drawn without a display: style and files, of the same bytes each time."""
 
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -65,7 +65,7 @@ def figure_title(figure: Figure, text: str) -> None:
 
 
 def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str], *, below: bool = False) -> None:
-    """Put one legend outside the axes, in as many columns as its longest label allows."""
+    """Put one legend outside the axes, in as many columns as labels allow."""
     if labels:
         lengths = [len(text) + LEGEND_GAP for text in labels]
         columns = len(labels) if sum(lengths) <= LINE_CHARACTERS else max(1, LINE_CHARACTERS // max(lengths))
@@ -74,13 +74,13 @@ def shared_legend(figure: Figure, handles: Sequence[Any], labels: Sequence[str],
 
 
 def group_legend(figure: Figure, axis: Any, names: Sequence[str] | StrArray, *, below: bool = False) -> None:
-    """Put a legend of several groups outside the axes, unless too many to be told apart."""
+    """Put a legend of groups outside the axes, unless there are too many."""
     if 1 < len(names) <= LEGEND_LIMIT:
         shared_legend(figure, *axis.get_legend_handles_labels(), below=below)
 
 
 def named_groups(labels: StrArray, none: str, limit: int = LABEL_LIMIT) -> Groups:
-    """Return runs (n,) by session or kind under names that fit a legend; an empty label is called `none`."""
+    """Return runs (n,) by label under names that fit a legend; an empty one is `none`."""
     groups = groups_of(labels)
     return replace(groups, names=np.array([_short(str(name), none, limit) for name in groups.names]))
 
@@ -202,7 +202,7 @@ def figure_paths(folder: Path, names: Iterable[str]) -> list[Path]:
 
 
 def marked(figure: Figure, *, simulated: bool) -> Figure:
-    """Return a figure that says of simulated data, at its right edge, that they are."""
+    """Return a figure that marks simulated data at its right edge."""
     if not simulated:
         return figure
     layout: Any = figure.get_layout_engine()
@@ -220,7 +220,7 @@ def write_figures(
     force: bool = False,
     progress: Progress = silent,
 ) -> list[Path]:
-    """Write figures, by name of their files, into a folder in every format of `FORMS`; for `simulated` see `marked`.
+    """Write figures, by name, into a folder in every format of `FORMS`; `simulated`: see `marked`.
 
     Raises BadInputError where a file exists, unless `force`; nothing is then written.
     """
