@@ -65,7 +65,7 @@ class Guarded(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command with its inputs kept, where the JSON can be written."""
-        # without a writable HOME the drawing library works without cache and need not say so
+        # the drawing library works without a cache
         logging.getLogger("matplotlib").setLevel(logging.ERROR)
         _refuse_dash(ctx)
         paths = list(dict.fromkeys(_inputs(ctx.params, OUTPUTS | ALSO.get(str(ctx.info_name), frozenset()))))
@@ -264,7 +264,6 @@ def _complain(message: str, status: int = EXIT_BAD_INPUT) -> int:
     if len(text) > LONGEST_LINE:
         text = f"{text[: LONGEST_LINE - 4]} ..."
     with suppress(OSError, AttributeError):
-        # a closed or full standard error has nobody to tell
         encoding = sys.stderr.encoding or "utf-8"
         sys.stderr.write(text.encode(encoding, "backslashreplace").decode(encoding) + "\n")
     return status

@@ -300,7 +300,6 @@ def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, 
     ratios = _ratios(centres, side_m, track_m)
     std = np.full(2, np.nan)
     if min(n_ccw, n_cw) >= FEWEST_SQUARES:
-        # both ratios are nearly linear in the four means
         step = 1e-6 * np.eye(4).reshape(4, 2, 2)
         slopes = np.array([np.subtract(_ratios(centres + d, side_m, track_m), ratios) for d in step]) / 1e-6
         spread = block_diag(*(np.cov(part.T) / len(part) for part in both))

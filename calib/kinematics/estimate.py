@@ -85,7 +85,6 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
     except RefusedError:
         return estimated("end_poses")
     with suppress(RefusedError):
-        # closed loops end alike in a mirror, and by exchanged wheels
         codes = {fault.code for fault in by_windows.faults}
         trusted = by_windows.passed or MIRRORED & codes or (codes - OF_CLOCKS and not by_windows.misfit)
         return by_windows if trusted else _told_by(by_windows, estimated("end_poses"))

@@ -1,43 +1,32 @@
 """The integrated path: poses at the samples, their derivatives, displacements between them."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from calib.kinematics.drives import Motion
 from calib.types import FloatArray, IntArray, in_frame
 
-#: half turn of a step below which the derivative of sin(h)/h is its series
-SMALL_RAD: Final = 1e-4
-#: half turn of all steps below which these terms of both series are exact, and quicker
-SHORT_RAD: Final = 0.1
+#: half turn of a step below which the derivative of sin(h)/h is its series; and of all steps, where five terms are
+#: exact, and quicker
+SMALL_RAD, SHORT_RAD = 1e-4, 0.1
 
 
 def _chord_over_arc(half: FloatArray) -> FloatArray:
-    # sin(h)/h of half turns
-    if np.abs(half).max(initial=0.0) < SHORT_RAD:
-        return _series(half * half, (6.0, 20.0, 42.0, 72.0))
-    near = np.abs(half) < SMALL_RAD
-    return np.where(near, 1.0 - half**2 / 6.0, np.sin(half) / np.where(near, 1.0, half))
+    return np.asarray(np.sinc(half / np.pi))
 
 
 def _bend_of_chord(half: FloatArray) -> FloatArray:
     # derivative of sin(h)/h
-    if np.abs(half).max(initial=0.0) < SHORT_RAD:
-        return -half / 3.0 * _series(half * half, (10.0, 28.0, 54.0, 88.0))
-    near = np.abs(half) < SMALL_RAD
-    return np.where(near, -half / 3.0, (np.cos(half) - _chord_over_arc(half)) / np.where(near, 1.0, half))
-
-
-def _series(square: FloatArray, divisors: tuple[float, ...]) -> FloatArray:
-    # 1 - x/a (1 - x/b (1 - ...))
-    total = np.ones_like(square)
-    for divisor in reversed(divisors):
+    if np.abs(half).max(initial=0.0) >= SHORT_RAD:
+        near = np.abs(half) < SMALL_RAD
+        return np.where(near, -half / 3.0, (np.cos(half) - _chord_over_arc(half)) / np.where(near, 1.0, half))
+    total, square = np.ones_like(half), half * half
+    for divisor in (88.0, 54.0, 28.0, 10.0):
         total *= square
         total *= -1.0 / divisor
         total += 1.0
-    return total
+    return -half / 3.0 * total
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,7 +27,7 @@ from calib.types import FloatArray, StrArray, few_digits, floats
 
 #: with more sessions none can carry the slope alone
 MAX_INFLUENCE_SESSIONS: Final = 100
-#: most pairs of session and load tried as misreported; share of the residual squares that may remain without them
+#: most pairs of session and load tried as misreported; share of squares that they may leave
 MAX_CELLS: Final = 200
 MAX_SQUARES_LEFT: Final = 0.1
 #: most runs tried as outliers, or a fifth of all: Rosner's approximation was tested up to ten
@@ -73,7 +73,7 @@ def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
 
 
 def _f_test(line: FloatArray, more: FloatArray, y: FloatArray) -> tuple[float, str, float] | None:
-    # of columns beside others; None where nothing is left of them, or of the scatter
+    # of columns beside others; None where nothing is left
     (reduced, rank), (full, rank_full) = _squares(line, y), _squares(np.column_stack((line, more)), y)
     dof_more, dof = rank_full - rank, len(y) - rank_full
     if dof_more < 1 or dof < 3 or full <= 0.0:

@@ -325,7 +325,6 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     unknown_nan = np.where(known, 0.0, np.nan)
     columns = {
         "run_id": runs.run_id,
-        # where its path is known from, see `calib.radius.path_length.RunPaths`
         "source": path.source,
         "verdict": np.select([known & within, known & (error > tolerance)], [PASSED, BEYOND], UNKNOWN),
         "distance_m": distance,

@@ -19,7 +19,7 @@ from calib.types import FloatArray, StrArray, floats
 
 #: standard deviation, in counts, of the difference of two readings in whole counts
 QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
-#: largest turn of a straight run by its counts: radii 1.5 % apart show 0.9 rad over 42 m on a track of 0.7 m
+#: largest turn of a straight run by its counts: radii 1.5 % apart show 0.9 rad over 42 m
 STRAIGHT_TURN_RAD: Final = 1.2
 #: largest measured turn of a straight run
 STRAIGHT_HEADING_RAD: Final = 0.5

@@ -31,10 +31,7 @@ def aliasing_with_load(fit: WheelFit, values: FloatArray, session: StrArray) -> 
 
 
 def order_check(fit: WheelFit, session: StrArray) -> Check | None:
-    """Return the check of the residuals against the order driven; None with too few runs.
-
-    The first runs of sessions come before what lasts from run to run: cold wheels do both.
-    """
+    """Return the check of the residuals against the order driven, first runs first; None with too few runs."""
     order, sloped = fit.autocorrelation, fit.design not in {"constant", "confounded"}
     follow, first = "", first_of_sessions(session)
     driven = {"rise or fall with the order driven": np.arange(float(len(session))), "of the first runs differ": first}

@@ -15,7 +15,8 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.challenge import GROUPS, HASH, PUBLIC, Seeds, make, read_seeds, recipes, truth_path
 from calib.challenge.cases import Truth
-from calib.challenge.score import open_truth, run, score
+from calib.challenge.run import run
+from calib.challenge.score import open_truth, score
 from calib.documents import plain
 from calib.errors import BadFileError, BadInputError
 from calib.plant.effects import effects
