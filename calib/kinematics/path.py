@@ -35,7 +35,7 @@ class Path:
 
     #: x and y in m, heading in rad, shape (3, n_samples)
     pose: FloatArray
-    #: behind it
+    #: its steps
     motion: Motion
     #: cosine and sine of the heading in the middle of each step, shape (2, n_samples)
     middle: FloatArray

@@ -224,13 +224,13 @@ def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, 
     contributions = _contributions(evidence, names)
 
     def difference(effect: str, by: str, beside: FloatArray | None = None) -> SizeDifference | None:
-        found = _difference(evidence.left_out, effect, contributions[effect], by, groups[by], beside)
-        if found is None or by != ORDER or abs(found.ratio - 1.0) <= FORM_ERROR:
-            return found
+        by_groups = _difference(evidence.left_out, effect, contributions[effect], by, groups[by], beside)
+        if by_groups is None or by != ORDER or abs(by_groups.ratio - 1.0) <= FORM_ERROR:
+            return by_groups
         if not (evidence.observations.windowed and evidence.search.weighting.name):
-            return found
+            return by_groups
         # what follows the order driven is no scatter
-        return replace(found, p_value=_chance_of_drift(evidence, contributions[effect], beside))
+        return replace(by_groups, p_value=_chance_of_drift(evidence, contributions[effect], beside))
 
     pairs = ((effect, by) for effect in contributions for by in groups)
     tested = [test for effect, by in pairs if (test := difference(effect, by)) is not None]
