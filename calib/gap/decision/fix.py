@@ -257,8 +257,9 @@ def holds_zero(cause: Cause) -> bool:
 
 
 def ranked(causes: Iterable[Cause]) -> list[Cause]:
-    """Return causes, the likeliest first; of equally probable ones last those whose size may be zero."""
-    return sorted(causes, key=lambda cause: (-cause.probability, holds_zero(cause)))
+    """Return causes by whole percents of probability; equally probable ones as given, last any that may be zero."""
+    rounded = [replace(cause, probability=round(cause.probability, 2)) for cause in causes]
+    return sorted(rounded, key=lambda cause: (-cause.probability, holds_zero(cause)))
 
 
 def harm(trials: Sequence[Trial]) -> Iterator[str]:

@@ -46,6 +46,15 @@ def test_of_equally_probable_causes_one_whose_size_may_be_zero_does_not_lead() -
     assert ranked([large, sure, likely]) == [likely, sure, large]
 
 
+def test_what_no_whole_percent_parts_is_equally_probable_and_keeps_its_place() -> None:
+    strong, weak = (replace(cause(name), probability=p) for name, p in (("wear", 0.96 - 1e-4), ("reference_yaw", 0.96)))
+    ranks = [(each.effect, each.probability) for each in ranked([strong, weak])]
+    assert ranks == [
+        ("wear", 0.96),
+        ("reference_yaw", 0.96),
+    ]
+
+
 @pytest.mark.parametrize(
     ("improvement", "words"),
     [
