@@ -217,7 +217,9 @@ def from_geometry(
     if not geometry.passed and not accept:
         raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", geometry.why)
     vehicle = campaign.vehicle
-    law = RadiusLaw(left=_law(geometry, campaign, "left"), right=_law(geometry, campaign, "right"))
+    left, right = (_law(geometry, campaign, side) for side in ("left", "right"))
+    shared = left.radius_ref_m * right.radius_ref_m * float(np.diff(np.square(_scatter(geometry)))[0])
+    law = RadiusLaw(left, right, run_covariance_m2=shared)
     track, track_std, assumed = _track(geometry, campaign)
     runs, walks = campaign.included().runs, geometry.noise_expected
     file = from_law(
@@ -230,6 +232,9 @@ def from_geometry(
     )
     names = [estimate.name for estimate in geometry.estimates]
     together = joint_section(geometry.drive, geometry.source, geometry.values, names, geometry.covariance)
+    if law.scatters:
+        shared = Quantity.of(value=law.run_covariance_m2, unit="m^2")
+        together = together.model_copy(update={"run_covariance": shared})
     wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
     # of ratios alone: these rest on the nominal mean radius
     held = HELD * ("mean_radius_m" in geometry.undetermined)
@@ -285,11 +290,17 @@ def _law(geometry: "Geometry", campaign: Campaign, side: str) -> WheelLaw:
         slope_m_per_N=geometry.values.get(slope_name, 0.0),
         covariance=covariance,
         dof=geometry[radius_name].dof if radius_name in names else 0.0,
-        residual_std_m=0.0,
+        residual_std_m=radius * float(np.hypot(*_scatter(geometry))),
         load_min_N=float(loads.min()) if driven else 0.0,
         load_max_N=float(loads.max()) if driven else max(campaign.vehicle.max_wheel_load_N, reference),
         n_runs=geometry.n_runs,
     )
+
+
+def _scatter(geometry: "Geometry") -> tuple[float, float]:
+    # relative: of each radius against the mean, and of the mean
+    by_name = geometry.noise_expected
+    return 0.5 * by_name.get("yaw_scatter", 0.0), by_name.get("radius_scatter", 0.0)
 
 
 def _track(geometry: "Geometry", campaign: Campaign) -> tuple[float, float, Sequence[str]]:

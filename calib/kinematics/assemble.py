@@ -24,6 +24,7 @@ from calib.kinematics.joint_fit import LONGEST_STEP_S, MEAN_RADIUS, Fitted, driv
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments, window_segments
 from calib.kinematics.readings import factor_faults
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, RunTrace, Umbmark, noise_sizes
+from calib.kinematics.scatter import told_from_walks
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.uncertainty import ENOUGH_RUNS, FEWEST_CLUSTERS
 from calib.types import BoolArray, FloatArray, IntArray, in_frame
@@ -103,7 +104,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         held={name: float(value) for name, value in zip(parameters.names, values, strict=True) if name not in stated},
         clusters=(fitted.uncertainty.by, fitted.uncertainty.clusters),
         noise=noise,
-        noise_expected=expected,
+        noise_expected=told_from_walks(fitted, expected),
         residual_rms=Channels.rms(left),
         outliers=outliers,
         faults=judgement.faults,

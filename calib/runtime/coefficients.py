@@ -59,7 +59,8 @@ class Coefficients:
 
     `outside`: ``refuse`` or ``clamp`` a load that was not measured; `load_table`: name -> wheel loads (left, right);
     `cross_covariance`: numbers in `JOINT` of parameters estimated together, and their covariance; `unapplied_effects`:
-    of the simulator's model, that this odometry lacks; `failed_checks`: what makes the law doubtful, as sentences.
+    of the simulator's model, that this odometry lacks; `failed_checks`: what makes the law doubtful, as sentences;
+    `run_covariance_m2`: of both radii, by the scatter of single runs.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Coefficients:
     cross_covariance: tuple[tuple[int, int, float], ...]
     unapplied_effects: tuple[str, ...]
     failed_checks: tuple[str, ...] = ()
+    run_covariance_m2: float = 0.0
 
     def takes(self, loads_N: Sequence[float], nearest_N: Sequence[float]) -> bool:
         """Return whether loads hold: the nearest valid ones are equal, or replace them where a wheel can carry them."""
@@ -150,6 +152,7 @@ class Coefficients:
             wrap_bits=None if wrap is None else _bits(encoder),
             load_table=table,
             cross_covariance=_cross_covariance(document),
+            run_covariance_m2=_run_covariance_m2(document),
             unapplied_effects=tuple(str(item.get("effect")) for item in _parts(document, "effects")),
             failed_checks=tuple(map(str, document.get("failed_checks") or ())),
             **_numbers(cls, vehicle=("vehicle", own), noise=("noise", noise), limits=("limits", limits)),
@@ -220,6 +223,12 @@ def _cross_covariance(document: dict[str, Any]) -> tuple[tuple[int, int, float],
         unit = f"({one})^2" if one == other else f"({one})({other})"
         entries.append((first, second, _number(entry, "covariance", unit, f"joint_geometry.covariance.{index}")))
     return tuple(entries)
+
+
+def _run_covariance_m2(document: dict[str, Any]) -> float:
+    together = document.get("joint_geometry") or {}
+    shared = together.get("run_covariance") is not None
+    return _number(together, "run_covariance", "m^2", "joint_geometry") if shared else 0.0
 
 
 def _part(document: dict[str, Any], key: str) -> dict[str, Any]:

@@ -349,7 +349,8 @@ class Odometer:
                 (first + 1, first, wheel.covariance_m2_per_N),
                 (first + 1, first + 1, wheel.variance_slope_m2_per_N2),
             ]
-        for one, other, value in self.coefficients.cross_covariance:
+        shared = ((0, 2, self.coefficients.run_covariance_m2),) * (self._band == "prediction")
+        for one, other, value in (*self.coefficients.cross_covariance, *shared):
             entries += [(one, other, value), (other, one, value)]
         return entries
 

@@ -69,11 +69,21 @@ def test_without_loads_the_slope_is_zero_with_its_standard_deviation(made: Campa
     assert far == pytest.approx(np.hypot(near, 0.01 * law.radius_ref_m), rel=1e-6)
 
 
-def test_no_band_of_a_single_run_is_stated_that_was_not_measured(
-    made: Campaign, geometry: Geometry, tmp_path: Path
-) -> None:
-    """Walks along the path have taken up what differs from run to run: table, runtime and header state none."""
-    file = from_geometry(geometry, made)
+def test_the_file_holds_what_radii_differ_by_from_run_to_run(made: Campaign, geometry: Geometry) -> None:
+    """Of the mean radius both wheels have all of, of their difference half each, against each other."""
+    file, by_name = from_geometry(geometry, made), geometry.noise_expected
+    radii = np.array([file.law.left.radius_ref_m, file.law.right.radius_ref_m])
+    shares = np.array([[by_name["radius_scatter"]] * 2, np.array([-0.5, 0.5]) * by_name["yaw_scatter"]])
+    scatter = np.diag(np.square([file.law.left.residual_std_m, file.law.right.residual_std_m]))
+    scatter[[0, 1], [1, 0]] = file.law.run_covariance_m2
+    np.testing.assert_allclose(scatter, shares.T @ shares * np.outer(radii, radii), rtol=1e-12)
+    assert Coefficients.parse(file.to_bytes().decode()).run_covariance_m2 == file.law.run_covariance_m2 != 0.0
+
+
+def test_no_band_of_a_single_run_is_stated_that_was_not_measured(tmp_path: Path) -> None:
+    """Of five runs walks along the path take up what differs between them: table, runtime and header state none."""
+    few = campaign(mixed(1), Truth(), np.random.default_rng(1))
+    file = from_geometry(estimate_geometry(few), few)
     rows = list(csv.DictReader(io.StringIO(export(file, "csv")[0].data.decode())))
     cells = [
         (row[f"radius_{side}_mean_u95_m"], row[f"radius_{side}_prediction_u95_m"])

@@ -74,6 +74,7 @@ def campaign(
     *,
     sigma: tuple[float, float] = (0.002, 0.001),
     walk: float = 0.0,
+    scatter: float = 0.0,
     loads: np.ndarray | None = None,
     along: bool = False,
     nominal: tuple[float, float, float] = (0.05, 0.05, 0.4),
@@ -82,7 +83,8 @@ def campaign(
 ) -> Campaign:
     """Return a campaign of a two-wheeled vehicle.
 
-    `walk` is a random walk of the true heading (rad per root metre), `loads` one row of wheel loads a run, `along`
+    `walk` is a random walk of the true heading (rad per root metre), `scatter` of each radius from run to run
+    (relative), `loads` one row of wheel loads a run, `along`
     whether the reference follows along the way; the nominal radii and track are what the settings say.
     """
     per_rev = 20000.0
@@ -92,6 +94,8 @@ def campaign(
         load = np.zeros(2) if loads is None else loads[number] - 300.0
         left = truth.radius_left_m + truth.slope_left * load[0]
         right = truth.radius_right_m + truth.slope_right * load[1]
+        if scatter:
+            left, right = np.array([left, right]) * (1.0 + scatter * rng.normal(size=2))
         phi = np.stack([(way - 0.5 * truth.track_m * turn) / left, (way + 0.5 * truth.track_m * turn) / right])
         per_s = len(turn) / duration_s
         phi *= 1.0 + (truth.slip_s_per_rad * np.abs(turn) + truth.slip_s_per_m * np.abs(way)) * per_s

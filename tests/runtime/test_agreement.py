@@ -139,7 +139,7 @@ def winding(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return left, right, loads
 
 
-def together(file: CoefficientFile, covariance: np.ndarray) -> CoefficientFile:
+def together(file: CoefficientFile, covariance: np.ndarray, run_covariance_m2: float = 0.0) -> CoefficientFile:
     """The file as if its laws and its track had been estimated together."""
     units = dict(zip(JOINT, ("m", "m/N", "m", "m/N", "m"), strict=True))
     entries = [
@@ -163,6 +163,7 @@ def together(file: CoefficientFile, covariance: np.ndarray) -> CoefficientFile:
     for side, wheel in (("left", wheels.left), ("right", wheels.right)):
         parameters[f"slope_{side}_m_per_N"] = {"value": wheel.slope.value, "unit": "m/N"}
     section = {"drive": "differential", "source": "rear", "parameters": parameters, "covariance": entries}
+    section["run_covariance"] = {"value": run_covariance_m2, "unit": "m^2"}
     return file.changed(joint_geometry=section)
 
 
@@ -198,7 +199,8 @@ def test_systematic_covariance_is_the_laws_carried_through_the_end_pose(
             c[first, second] = c[second, first] = share * np.sqrt(c[first, first] * c[second, second])
         c[1, 4] = c[4, 1] = -3e-12
         c[3, 4] = c[4, 3] = 2e-12
-        only = together(only, c - np.diag([scatter, 0.0, scatter, 0.0, 0.0]))
+        only = together(only, c - np.diag([scatter, 0.0, scatter, 0.0, 0.0]), run_covariance_m2=-1e-10)
+        c[[0, 2], [2, 0]] -= 1e-10 if band == "prediction" else 0.0
     expected = jacobian @ c @ jacobian.T
     found = np.array(run(only, left, right, loads, band).covariance)
     # rtol: central differences leave about 1e-9 of each derivative; entries cancel to a hundredth

@@ -389,8 +389,9 @@ static inline calib_status calib_get_pose(const calib_odometer *o, calib_pose *p
 #if CALIB_PREDICTION_BAND
     const double scatter_left = CALIB_LEFT_RESIDUAL_STD_M * CALIB_LEFT_RESIDUAL_STD_M;
     const double scatter_right = CALIB_RIGHT_RESIDUAL_STD_M * CALIB_RIGHT_RESIDUAL_STD_M;
+    const double lr = CALIB_COV_02 + CALIB_RUN_COVARIANCE_M2;
 #else
-    const double scatter_left = 0.0, scatter_right = 0.0;
+    const double scatter_left = 0.0, scatter_right = 0.0, lr = CALIB_COV_02;
 #endif
     const double ll = CALIB_LEFT_VAR_RADIUS_REF_M2 + scatter_left;
     const double rr = CALIB_RIGHT_VAR_RADIUS_REF_M2 + scatter_right;
@@ -405,7 +406,7 @@ static inline calib_status calib_get_pose(const calib_odometer *o, calib_pose *p
                 + a[1] * CALIB_LEFT_VAR_SLOPE_M2_PER_N2 * b[1] + a[2] * rr * b[2]
                 + (a[2] * b[3] + a[3] * b[2]) * CALIB_RIGHT_COV_M2_PER_N
                 + a[3] * CALIB_RIGHT_VAR_SLOPE_M2_PER_N2 * b[3] + a[4] * bb * b[4];
-            const double between = (a[0] * b[2] + a[2] * b[0]) * CALIB_COV_02
+            const double between = (a[0] * b[2] + a[2] * b[0]) * lr
                 + (a[0] * b[3] + a[3] * b[0]) * CALIB_COV_03 + (a[0] * b[4] + a[4] * b[0]) * CALIB_COV_04
                 + (a[1] * b[2] + a[2] * b[1]) * CALIB_COV_12 + (a[1] * b[3] + a[3] * b[1]) * CALIB_COV_13
                 + (a[1] * b[4] + a[4] * b[1]) * CALIB_COV_14 + (a[2] * b[4] + a[4] * b[2]) * CALIB_COV_24

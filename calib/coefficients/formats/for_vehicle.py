@@ -313,8 +313,8 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
     reading = (0.25 * float(count.sum()), float(count.sum()) / track**2)
     # of one journey: with the scatter of single runs
-    scatter = np.diag([*(wheel.residual_std.value**2 for _, wheel in file.wheels), 0.0])
-    return _diagonals(file, rates, law.covariance_at(loads, file.vehicle.track_std.value) + scatter, reading)
+    covariance = law.covariance_at(loads, file.vehicle.track_std.value, single_run=True)
+    return _diagonals(file, rates, covariance, reading)
 
 
 def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:
