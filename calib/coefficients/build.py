@@ -4,7 +4,6 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations_with_replacement
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Final, get_args
@@ -18,14 +17,21 @@ from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import file as kept
 from calib.coefficients import formats, sections
-from calib.coefficients.file import CoefficientFile, Outside, effects_left_out, load_coefficients, sealed
+from calib.coefficients.file import (
+    CoefficientFile,
+    GeometrySection,
+    Outside,
+    effects_left_out,
+    load_coefficients,
+    sealed,
+)
 from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, assumed_note
-from calib.coefficients.sections import Quantity, VehicleSection, WheelSection, WheelsSection
+from calib.coefficients.sections import VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleError, RefusedError, refuse_other_than_date
 from calib.radius.law import JOINT, RadiusLaw, WheelLaw
 from calib.radius.regression import SAME_LOAD
 from calib.radius.result import Fit, is_result, read_result
-from calib.types import GRAVITY_MPS2, FloatArray, unit_of
+from calib.types import GRAVITY_MPS2
 from calib.vehicle import Vehicle
 
 if TYPE_CHECKING:
@@ -74,10 +80,9 @@ def from_fit(
         file = from_law(law, vehicle, fit.setup.encoder, header, load_table=loads)
         values = (value for one in (law.left, law.right) for value in (one.radius_ref_m, one.slope_m_per_N))
         parts = dict(zip(JOINT[:4], values, strict=True))
-        together = joint_section(vehicle.drive, "rear", parts, [*parts], law.covariance()[:4, :4])
-        shared = Quantity.of(value=law.run_covariance_m2, unit="m^2")
+        law_m2 = law.covariance()[:4, :4]
+        together = GeometrySection.of_together(vehicle.drive, "rear", parts, [*parts], law_m2, law.run_covariance_m2)
         unweighed = [f"wheels.{one}.reference_load" for one in fit.wheels if f"load_{one}_N" in fit.setup.assumed]
-        together = together.model_copy(update={"run_covariance": shared})
         file = file.changed(joint_geometry=together, assumed=[*file.assumed, *unweighed])
     except (TypeError, OverflowError) as error:
         fault = f"fit of {fit.name!r}: found a value that is no number ({error}); expected those of a fit"
@@ -231,10 +236,9 @@ def from_geometry(
         noise=PoseNoise(track_std, walks["along_walk"], walks["heading_walk"], assumed),
     )
     names = [estimate.name for estimate in geometry.estimates]
-    together = joint_section(geometry.drive, geometry.source, geometry.values, names, geometry.covariance)
-    if law.scatters:
-        shared = Quantity.of(value=law.run_covariance_m2, unit="m^2")
-        together = together.model_copy(update={"run_covariance": shared})
+    scatter_m2 = law.run_covariance_m2 if law.scatters else None
+    stated = geometry.values, names, geometry.covariance
+    together = GeometrySection.of_together(geometry.drive, geometry.source, *stated, scatter_m2)
     wheelbase = geometry.values.get("wheelbase_m", vehicle.wheelbase_m)
     # of ratios alone: these rest on the nominal mean radius
     held = HELD * ("mean_radius_m" in geometry.undetermined)
@@ -250,25 +254,6 @@ def geometry_document(geometry: "Geometry", campaign: Campaign, accept: str = ""
     except CalibError:
         section = None
     return {"format": kept.GEOMETRY_FORMAT, **geometry.to_dict(), "coefficients": section}
-
-
-def joint_section(
-    drive: str, source: str, values: Mapping[str, float], names: Sequence[str], covariance: FloatArray
-) -> kept.GeometrySection:
-    """Return the section of parameters estimated together: their values, and the covariance of those of `names`."""
-    units = {name: unit_of(name) for name in values}
-    entries = []
-    for row, column in combinations_with_replacement(range(len(names)), 2):
-        one, other = units[names[row]], units[names[column]]
-        unit = f"({one})^2" if one == other else f"({one})({other})"
-        entry = Quantity.of(value=float(covariance[row, column]), unit=unit)
-        entries.append(kept.CovarianceEntry.of(first=names[row], second=names[column], covariance=entry))
-    return kept.GeometrySection.of(
-        drive=drive,
-        source=source,
-        parameters={name: Quantity.of(value=value, unit=units[name]) for name, value in values.items()},
-        covariance=entries,
-    )
 
 
 def _law(geometry: "Geometry", campaign: Campaign, side: str) -> WheelLaw:

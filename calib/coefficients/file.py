@@ -2,9 +2,10 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from datetime import date
+from itertools import combinations_with_replacement
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -20,7 +21,7 @@ from calib.coefficients.sections import Quantity, Section, VehicleSection, Wheel
 from calib.documents import checksum, to_json
 from calib.errors import BadFileError, BadInputError, ImplausibleError, RefusedError
 from calib.radius.law import JOINT, RadiusLaw
-from calib.types import FloatArray, floats
+from calib.types import FloatArray, floats, unit_of
 from calib.vehicle import Drive, Vehicle
 
 FORMAT: Final = "calib-coefficients/1"
@@ -55,7 +56,7 @@ class GeometrySection(Section):
 
     Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
     that couple left, right and track. Parameters without a variance were not determined and keep their nominal
-    value. run_covariance: of a single run's scatter about both laws, but of a geometry.
+    value. run_covariance: of a single run's scatter about both laws.
     """
 
     drive: Drive
@@ -75,6 +76,42 @@ class GeometrySection(Section):
     def values(self) -> dict[str, float]:
         """Value of each parameter."""
         return {name: quantity.value for name, quantity in self.parameters.items()}
+
+    @classmethod
+    def of_together(
+        cls,
+        drive: str,
+        source: str,
+        values: Mapping[str, float],
+        names: Sequence[str],
+        covariance: FloatArray,
+        run_covariance_m2: float | None,
+    ) -> Self:
+        """Return the section of parameters estimated together.
+
+        Parameters
+        ----------
+        drive, source, values
+            Drive, wheels of the odometry, and all parameters.
+        names, covariance
+            Those that were determined, and their covariance.
+        run_covariance_m2
+            Of the scatter of single runs about both radii; None: not estimated.
+        """
+        units = {name: unit_of(name) for name in values}
+        entries = []
+        for row, column in combinations_with_replacement(range(len(names)), 2):
+            one, other = units[names[row]], units[names[column]]
+            unit = f"({one})^2" if one == other else f"({one})({other})"
+            entry = Quantity.of(value=float(covariance[row, column]), unit=unit)
+            entries.append(CovarianceEntry.of(first=names[row], second=names[column], covariance=entry))
+        return cls.of(
+            drive=drive,
+            source=source,
+            parameters={name: Quantity.of(value=value, unit=units[name]) for name, value in values.items()},
+            covariance=entries,
+            run_covariance=None if run_covariance_m2 is None else Quantity.of(value=run_covariance_m2, unit="m^2"),
+        )
 
 
 class AcceptedSection(Section):

@@ -287,9 +287,8 @@ class WheelSection(Section):
     """The law of one wheel: r(F) = radius_ref + slope (F - reference_load), valid within valid_load.
 
     residual_std: standard deviation of a single run, in a session of its own, about the law (`single_run_std_m` of
-    fit.json; `residual_std_m` there is that of all residuals as if runs were independent); 0: not estimated, as by a
-    geometry, and no band of a single run is stated. dof: the smaller of those of radius_ref and slope; strata tells
-    those at each load.
+    fit.json; `residual_std_m` there is that of all residuals as if runs were independent); 0: not estimated, and no
+    band of a single run is stated. dof: the smaller of those of radius_ref and slope; strata tells those at each load.
     """
 
     radius_ref: PositiveLength

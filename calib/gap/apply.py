@@ -9,8 +9,15 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.campaign.settings import Reference
 from calib.campaign.wheels import mecanum_model, odometry_source, without_rear_wheels
-from calib.coefficients.build import TRACK_STD_M, Header, PoseNoise, from_law, joint_section, load_points
-from calib.coefficients.file import OF_INSTRUMENTS, SENSOR_PLACES, CoefficientFile, believed_model, effects_left_out
+from calib.coefficients.build import TRACK_STD_M, Header, PoseNoise, from_law, load_points
+from calib.coefficients.file import (
+    OF_INSTRUMENTS,
+    SENSOR_PLACES,
+    CoefficientFile,
+    GeometrySection,
+    believed_model,
+    effects_left_out,
+)
 from calib.coefficients.sections import EffectSection, LoadRange, Quantity, WheelSection
 from calib.errors import RefusedError
 from calib.gap.decision.diagnosis import BY_SIMULATOR, Diagnosis, VerdictKind
@@ -93,10 +100,10 @@ def applied_model(
     spread = matrix @ covariance @ matrix.T
     known = np.flatnonzero(np.diag(spread))
     by_name, determined = dict(zip(names, sizes.tolist(), strict=True)), [names[k] for k in known]
-    together = joint_section(file.vehicle.drive, source, by_name | lengths, determined, spread[np.ix_(known, known)])
-    if source == "rear":
-        shared = Quantity.of(value=float(scatter[0, 1]), unit="m^2")
-        together = together.model_copy(update={"run_covariance": shared})
+    shared_m2 = float(scatter[0, 1]) if source == "rear" else None
+    spread = spread[np.ix_(known, known)]
+    stated = by_name | lengths, determined, spread
+    together = GeometrySection.of_together(file.vehicle.drive, source, *stated, shared_m2)
     return file.changed(joint_geometry=together)
 
 

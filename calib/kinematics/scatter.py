@@ -53,7 +53,8 @@ def told_from_walks(fitted: Fitted, expected: Mapping[str, float]) -> dict[str, 
             continue
         largest = np.sqrt(np.square(pulls).sum(axis=1) / np.square(information).sum(axis=1)).max()
         variances = np.square(largest * _SCATTER_PARTS)
-        likely = np.stack([base + _log_likelihood(*row, variances) for base, *row in zip(bases, information, pulls)])
+        each_part = zip(bases, information, pulls, strict=True)
+        likely = np.stack([base + _log_likelihood(seen, pull, variances) for base, seen, pull in each_part])
         likely = np.exp(likely - likely.max()) * np.where(variances > 0.0, 1.0 / (len(variances) - 1), 1.0)
         likely /= likely.sum()
         out[name] = float(np.sqrt(likely.sum(axis=0) @ variances))

@@ -7,7 +7,7 @@ import pytest
 
 from calib.kinematics.estimate import estimate_geometry
 from calib.kinematics.result import Geometry
-from tests.kinematics.campaigns import Truth, campaign, mixed, square
+from tests.kinematics.campaigns import Truth, campaign, mixed
 
 CAMPAIGNS = 12
 #: of a reference that hardly errs
