@@ -41,8 +41,7 @@ NUMERIC_COLUMNS: Final = (
     *(*REFERENCE_POSE, "gyro_theta_rad", "gyro_sigma_rad", *SIMULATED_POSE, "sim_distance_m"),
 )
 
-#: what a log needs: both rear wheels, front wheel and steering, four (mecanum), or rear axle and steering (Ackermann);
-#: of the rear as counts or speeds
+#: what a log needs: both rear wheels, four, or front wheel or rear axle and steering; of the rear as counts or speeds
 WHEEL_SETS: Final = (
     ("counts_left", "counts_right"),
     ("steer_rad", "counts_front"),
@@ -243,8 +242,8 @@ class Logs:
 
     #: samples of run i are ``offsets[i]:offsets[i + 1]``, none without a log, shape (n_runs + 1,)
     offsets: IntArray
-    #: columns of `LOG_COLUMNS` that any log has, NaN for logs without it. Counts are unwrapped from the log's own first
-    #: value; times are seconds from the run's start, shape (n_samples,)
+    #: columns of `LOG_COLUMNS`, NaN for logs without; counts unwrapped from the log's first, times from the run's
+    #: start, shape (n_samples,)
     columns: Mapping[str, FloatArray]
     #: of speeds that counts were integrated from
     speeds: tuple[str, ...] = ()

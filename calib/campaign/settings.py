@@ -127,7 +127,6 @@ class Reference:
     sigma_xy_m: Annotated[Positive, Usual(0.0, 0.5)] = 0.002
     sigma_theta_rad: Annotated[Positive, Usual(0.0, 0.2)] = 0.0008
     #: the reference's frame on the vehicle: ahead of the rear axle's middle, left of it, turned counter-clockwise
-    #: against the vehicle's heading
     sensor_x_m: SensorPlace = 0.0
     sensor_y_m: SensorPlace = 0.0
     sensor_yaw_rad: Annotated[float, Field(ge=-2 * math.pi, le=2 * math.pi)] = 0.0
@@ -139,8 +138,8 @@ class Reference:
 class Odometry:
     """What the vehicle's own odometry runs on."""
 
-    #: rear: both rear wheels' encoders; front: the front wheel's encoder and steering angle; wheels: all (mecanum);
-    #: shaft: rear axle or drive shaft, and steering angle (Ackermann); None: unspecified
+    #: encoders: rear: both rear wheels'; front: front wheel's, with steering angle; wheels: all (mecanum); shaft: rear
+    #: axle's, with steering angle (Ackermann)
     source: Annotated[OdometrySource | None, Field(validation_alias="from")] = None
 
 

@@ -20,8 +20,7 @@ class Perturbation:
     left: FloatArray | None = None
     right: FloatArray | None = None
     track: FloatArray | None = None  #: shape (n_obs,) or (n_steps,): relative change of the track
-    #: heading_rad, along_m, lateral_m: shape (n_steps,): what it turns, moves along and to its left in each step beyond
-    #: what its wheels say
+    #: heading_rad, along_m, lateral_m: shape (n_steps,): motion of each step beyond what the wheels say
     heading_rad: FloatArray | None = None
     along_m: FloatArray | None = None
     lateral_m: FloatArray | None = None
@@ -30,8 +29,7 @@ class Perturbation:
     reading: FloatArray | None = None
     #: shape (n_obs,): angle in rad by which the axes turn that along and lateral are read in, about the start
     turned_rad: FloatArray | None = None
-    #: end_arc, start_arc: shape (n_obs, 2): way along and turn of the arc from the end, and from the start, to the pose
-    #: that was read in its place
+    #: end_arc, start_arc: shape (n_obs, 2): way and turn of the arc from end and start to the pose read in its place
     end_arc: FloatArray | None = None
     start_arc: FloatArray | None = None
     delay_s: FloatArray | None = None  #: shape (n_obs,): time before the end at which the pose was read
@@ -128,7 +126,7 @@ EXTRAPOLATED_S: Final = 0.1
 SPARSE_SHARE: Final = 4
 
 
-#: which of X, Y, TURN, LINE and WAY a change of 1 at each step adds to, and how much to each, shape (n_sums, n_steps)
+#: which of X, Y, TURN, LINE and WAY a change of 1 at each step adds to, and how much, (n_sums, n_steps)
 Lever = tuple[tuple[int, ...], FloatArray]
 
 

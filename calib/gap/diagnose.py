@@ -53,7 +53,7 @@ from calib.types import Progress, silent
 MOST_VARIANCE_FACTOR: Final = 1.5
 #: estimates of the noise level, each without causes named so far: one or two settle it
 NOISE_PASSES: Final = 3
-#: change of the noise level that calls for another search: of less the evidence changes within its scatter
+#: change of the noise level that calls for another search
 NOISE_CHANGE: Final = 1.25
 #: searches beside a reference mounted as found: turned, its place, and its delay
 MOUNTINGS: Final = 3

@@ -21,8 +21,7 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray, few_digits
 
 #: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
 LACK_OF_FIT: Final = 3.0
-#: a residual below this share of distance or rotation is as small as wheel odometry gets (UMBmark's and our recordings:
-#: 0.1 to 0.5 %)
+#: a residual below this share of distance or rotation is as small as wheel odometry gets (recordings: 0.1 to 0.5 %)
 SMALL_SHARE: Final = 0.005
 #: a result that leaves more of the error on held-out runs explains nothing
 USELESS_SHARE: Final = 0.9

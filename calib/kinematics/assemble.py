@@ -22,9 +22,9 @@ from calib.kinematics.blunders import Fault, corrected, of_gyro, still_counters
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, SENSOR, Drive, first_scales, parameters_of
 from calib.kinematics.joint_fit import LONGEST_STEP_S, MEAN_RADIUS, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments, window_segments
+from calib.kinematics.noise import noise_sizes
 from calib.kinematics.readings import factor_faults
-from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, RunTrace, Umbmark, noise_sizes
-from calib.kinematics.scatter import told_from_walks
+from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, RunTrace, Umbmark
 from calib.kinematics.solve import COMPONENTS, Solution
 from calib.kinematics.uncertainty import ENOUGH_RUNS, FEWEST_CLUSTERS
 from calib.types import BoolArray, FloatArray, IntArray, in_frame
@@ -104,7 +104,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         held={name: float(value) for name, value in zip(parameters.names, values, strict=True) if name not in stated},
         clusters=(fitted.uncertainty.by, fitted.uncertainty.clusters),
         noise=noise,
-        noise_expected=told_from_walks(fitted, expected),
+        noise_expected=expected,
         residual_rms=Channels.rms(left),
         outliers=outliers,
         faults=judgement.faults,

@@ -23,8 +23,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
-#: a radius further from nominal, relative, is one of wrong counts or units: a factor of two halves it, less for the
-#: tyre
+#: a radius further from nominal, relative, is one of wrong counts or units: a factor of two, less for the tyre
 GROSS: Final = 0.45
 #: radii over nominal that no unit or count makes: kilometres make a thousandth
 NOTHING: Final = 5e-4
@@ -83,8 +82,7 @@ class Fitted:
     undetermined: tuple[str, ...]
     #: with steering angles as logged
     logged: Recording
-    #: standard deviation of single recordings' steering zeros, corrected for in the model's angles; 0: one zero suits
-    #: all
+    #: standard deviation of single recordings' steering zeros, corrected in the model's angles; 0: one for all
     zero_spread_rad: float = 0.0
 
     @property

@@ -7,8 +7,7 @@ import numpy as np
 from calib.kinematics.drives import Motion
 from calib.types import FloatArray, IntArray, in_frame
 
-#: half turn of a step below which the derivative of sin(h)/h is its series; and of all steps, where five terms are
-#: exact, and quicker
+#: half turn of a step below which the derivative of sin(h)/h is its series; of all steps, where five terms are exact
 SMALL_RAD, SHORT_RAD = 1e-4, 0.1
 
 

@@ -12,8 +12,8 @@ from calib.kinematics.model import Model, Prediction, Segments
 from calib.kinematics.path import Path
 from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray, IntArray
 
-#: variances that make up the covariance of a displacement: of position and heading by the reference (m^2, rad^2),
-#: of the random walks of heading and of distance (rad^2/m, m^2/m)
+#: variances of a displacement's covariance: of the reference's position and heading (m^2, rad^2), of the random walks
+#: of heading and distance (rad^2/m, m^2/m)
 COMPONENTS: Final = ("reference_xy", "reference_theta", "heading_walk", "along_walk")
 #: how far below its stated size a component may fall
 LEAST: Final = 1e-4
@@ -75,8 +75,7 @@ def _walks(path: Path, body: FloatArray, segments: Segments) -> FloatArray:
     return np.stack([walk, along])
 
 
-#: entries of a lower triangle, row by row, of symmetric matrices kept as shape (6, n): small products cost more in
-#: calls
+#: rows of a lower triangle: symmetric matrices are kept as shape (6, n)
 _ROWS: Final = np.array([0, 1, 1, 2, 2, 2])
 _COLUMNS: Final = np.array([0, 0, 1, 0, 1, 2])
 #: how often an entry stands in the whole matrix

@@ -131,7 +131,7 @@ class Uncertainty:
     #: independent groups (``run``, ``block``, ``session`` or ``route``), and their number
     by: str
     clusters: int
-    #: standard deviations with all groups independent: biased but steadier, to compare estimates by, shape (n_free,)
+    #: standard deviations with all groups independent: steadier, to compare estimates by, shape (n_free,)
     apart: FloatArray
     known: FloatArray  #: variances that nominal values leave, part of the covariance's, shape (n_free,)
     freedom: Freedom | None = None  #: of sums of parameters, where known

@@ -210,8 +210,7 @@ RHO_PRECISION: Final = 0.01
 class Autocorrelation:
     """Autocorrelation of runs that follow each other."""
 
-    #: of one run and the next: bias-corrected, plus one standard deviation, so that no interval is too narrow; 0 where
-    #: not significant
+    #: of one run and the next: bias-corrected, plus one standard deviation; 0 where not significant
     rho: float
     #: lag-one autocorrelation of the residuals, and its p-value
     lag_one: float

@@ -181,7 +181,7 @@ def arc_row(radius_ratio: float, distance_m: float, track_m: float) -> dict[str,
     }
 
 
-#: the stated amplitude is wrong by more than this factor: peak to peak is 2; 20 % errors of measuring pass
+#: largest error of a stated amplitude, a factor: peak to peak is 2; 20 % pass
 AMPLITUDE_FACTOR: Final = 1.5
 
 

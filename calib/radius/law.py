@@ -203,8 +203,8 @@ class LineEstimate:
     #: ``crossed`` (slope from within sessions), ``confounded`` (from session means only), ``mixed``, ``single`` (one
     #: session, or not to be told from runs) or ``constant`` (no slope)
     design: str
-    #: change of the coefficients by a standard uncertainty of each source that is the same in every run, shape
-    #: (n_sources, 2), and its degrees of freedom
+    #: change of the coefficients by a standard uncertainty of each systematic source, shape (n_sources, 2), and its
+    #: degrees of freedom
     systematic: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     systematic_dof: FloatArray = field(default_factory=lambda: np.zeros(0))
 

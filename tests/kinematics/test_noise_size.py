@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 from calib.kinematics.estimate import estimate_geometry
-from calib.kinematics.result import NORMAL_GAIN
+from calib.kinematics.noise import NORMAL_GAIN
 from calib.kinematics.solve import DEGREES
 from tests.kinematics.campaigns import Truth, campaign, mixed
 

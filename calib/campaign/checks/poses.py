@@ -21,7 +21,7 @@ _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
 _OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0
 #: factor by which an uncertainty is overstated
 _OVERSTATED: Final = 4.0
-#: factor of an understated one (1.41: start and end measured each), and its significance in standard deviations
+#: factor of an understated one (start and end each measured: 1.41), and its standard deviations
 _UNDERSTATED, _UNDERSTATED_SIGMAS = 1.5, 6.0
 #: largest angle between a straight run's start heading and its end
 _MOST_BEARING_RAD: Final = 0.3

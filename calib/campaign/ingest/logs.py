@@ -33,8 +33,7 @@ class MappedLog:
     """A log, recording or part of one under calib's names."""
 
     shown: str
-    #: of `LOG_COLUMNS`, SI units, ``t_s`` from the first sample; ``cut`` where a column tells the runs, shape
-    #: (n_samples,)
+    #: of `LOG_COLUMNS`, ``t_s`` from the first sample; ``cut`` where a column tells the runs, shape (n_samples,)
     columns: dict[str, FloatArray]
     #: of the first sample: nanoseconds since 1970, midnight or the clock's start
     start_ns: int

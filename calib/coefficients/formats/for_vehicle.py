@@ -223,8 +223,8 @@ def _columns_of(law: WheelLaw, used: FloatArray, side: str, shown: BoolArray) ->
 #: parameters that are the track, or make it
 TRACKS: Final = ("track_m", "half_length_plus_half_width_m")
 _MECANUM: Final = "mecanum_drive_controller"
-#: drive -> its controllers. A tricycle's free rear wheels are read as a differential drive's; which tricycle controller
-#: applies depends on which wheels have the motors
+#: drive -> its controllers. A tricycle's free rear wheels are read as a differential drive's; its controller depends on
+#: which wheels have motors
 OF_DRIVE: Final[dict[str, tuple[str, ...]]] = {
     "tricycle": ("diff_drive_controller", "tricycle_controller", "tricycle_steering_controller"),
     "differential": ("diff_drive_controller",),
@@ -275,7 +275,7 @@ def _name(pair: LoadPair) -> str:
 #: path and turning after which the variances of the pose are stated: an aisle and the corner at its end
 PATH_M: Final = 10.0
 TURN_RAD: Final = math.pi / 2.0
-#: motion at which the variances of the twist are stated, and the window: ten samples at 100 Hz, the controllers' own
+#: motion at which the twist's variances are stated, and the controllers' window: ten samples at 100 Hz
 SPEED_MPS: Final = 1.0
 TURN_RATE_RADPS: Final = 1.0
 WINDOW_S: Final = 0.1

@@ -29,8 +29,8 @@ from calib.gap.inference.marginal_likelihood import FLOOR_DOF, Nuisance
 from calib.gap.observations import Channel
 from calib.types import FloatArray, few_digits
 
-#: a cause below this signal and this share of a larger one's, whose form may err by so much of its size (`FORM_ERROR`),
-#: may be that error; radii and track have none
+#: a cause below this signal and `FORM_ERROR` of a larger one's may be an error of that one's form; radii and track have
+#: none
 WEAK_SIGNAL: Final = 10.0
 MOST_PLACES: Final = 3
 MOST_COVARIATES: Final = 2

@@ -42,8 +42,7 @@ from calib.gap.observations.from_campaign import check_distances, observations_o
 from calib.gap.predict import Path, measured_gap, predict, residuals
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: fits about a sensor's place and delay found, two settle one of them; a step below so many standard uncertainties is
-#: the last
+#: fits about a sensor's place and delay found, two settle one; a step below so many standard uncertainties is the last
 PLACE_PASSES: Final = 8
 CLOSE: Final = 0.1
 #: labels of the forms of a place and of a delay

@@ -108,8 +108,8 @@ class Form:
     zero_within: tuple[float, float] = (-inf, inf)
     #: settings -> `perturbations` with these, for a form whose settings come from the runs
     at: Callable[[Mapping[str, float]], Perturbations] | None = None
-    #: whether `perturbations` takes everything per step from its path, which may be that of some observations; else
-    #: arrays per step are held for all
+    #: whether `perturbations` takes everything per step from its path, maybe of some observations; else arrays are held
+    #: for all
     by_parts: bool = False
     #: effects without one of which it does nothing, by id; empty where it acts by itself
     acts_through: tuple[str, ...] = ()
@@ -143,12 +143,12 @@ class Effect(ABC):
     title: ClassVar[str]  #: a few words that fit into "the gap is explained by ..."
     #: what to suspect where the fitted size is beyond what is plausible; a clause
     implausible: ClassVar[str] = "another cause that looks alike"
-    #: calibration effects that another zero point of this effect looks like (temperature from 20 degrees: the radii); a
-    #: shift no larger than the effect is part of it
+    #: calibration effects that another zero point of this one looks like; a shift no larger than the effect is part of
+    #: it
     shifts: ClassVar[tuple[str, ...]] = ()
     #: whether it looks like another effect only where radii and track are off with it
     needs_calibration: ClassVar[bool] = False
-    #: whether it is nothing at a known point (the model's reference load, no payload, a straight): then no shift is
+    #: whether it is nothing at a known point (reference load, no payload, a straight): then no shift is
     zero_known: ClassVar[bool] = False
     family: ClassVar[Family] = Family.OWN
     needs: ClassVar[str] = ""  #: what a campaign has to hold for the effect to show; a phrase

@@ -21,7 +21,7 @@ _STEPS: Final = 3
 _ROUNDING: Final = 1e-6
 #: a further step is taken where it promises, linear, to leave no more than this share
 _PROMISED_SHARE: Final = 0.2
-#: wheels are followed in proportion to a quantity, or alike in a run, where that promises to leave no more
+#: wheels are followed in proportion to a quantity, or alike, where that leaves no more
 _FOLLOWS_SHARE: Final = 0.01
 #: radii and track alike in all runs that leave a smaller share are all of a change
 _ALL_BUT: Final = 1e-4

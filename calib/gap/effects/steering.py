@@ -10,7 +10,7 @@ from calib.gap.observations import Channel, Observations
 from calib.kinematics.blunders import still_steering, straight_reading_rad
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: an angle is judged beside a smaller offset of its zero: beside 0.5 rad a play was named, at 1.6 another cause
+#: an angle is judged beside a smaller offset of its zero: beside 0.5 rad a play was named
 FARTHEST_STRAIGHT_RAD: Final = 0.35
 
 

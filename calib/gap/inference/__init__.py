@@ -45,8 +45,8 @@ NEGLIGIBLE_GROWTH: Final = SMALL_SHARE
 #: error of a law's form, as a share of its size; also what one size may differ by between groups of runs
 FORM_ERROR: Final = SMALL_SHARE
 
-#: what is no noise in a channel: three quarters of the square of two noise levels. Also how much stronger a fix's cause
-#: is than an unexplained residual, half of which a weaker one may be
+#: what is no noise in a channel: of its square three quarters. Also how much stronger a fix's cause is than an
+#: unexplained residual, half of which a weaker one may be
 NOISE_LEVELS: Final = 2.0
 
 #: chance that noise alone exceeds its limit in any trial of a campaign: a verdict rests on a hundred

@@ -200,8 +200,8 @@ class Recalibration:
     sd: FloatArray
     signal: FloatArray  #: shape (3,): whitened norm of each
     instead: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  #: other likely effects that need it not off
-    #: most probable subset, beside an effect its likely substitutes counted with it; if empty, all likelier off than
-    #: not, if the runs show them
+    #: most probable subset, with likely substitutes of an effect; if empty, all likelier off than not, if the runs show
+    #: them
     likeliest: tuple[str, ...] = ()
     #: the same where no effect is named and something has to be off
     needed: tuple[str, ...] = ()

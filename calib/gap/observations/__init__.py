@@ -113,8 +113,8 @@ class Observations:
     #: shape (n_units,): replicates that were also driven in the same session, warmth, dwell and further columns
     cell: IntArray
     kind: IntArray  #: shape (n_obs,): units of the same route and direction
-    #: shape (n_obs,): what the laser's distance is: the projection on the start heading (1; -1 of a run driven
-    #: backward), the chord to the end point (2), the line's length (0)
+    #: shape (n_obs,): the laser's distance is the projection on the start heading (1; -1 backward), the chord to the
+    #: end point (2), or the line's length (0)
     axis: FloatArray
     sigma: FloatArray  #: shape (n_obs, 4): stated standard uncertainty of distance, x, y and heading
     #: shape (n_obs,): of the start frame's heading, where that was read too; else 0
@@ -126,8 +126,8 @@ class Observations:
     window: IntArray
     #: shape (n_obs, 3): start in the frame common to all, else NaN
     start_pose: FloatArray
-    #: shape (n_obs, 2, 3): error of headings taken from the course at start and end, rad a metre of the sensor's place
-    #: (x, y) and rad a second that it reads late; zero where headings were measured
+    #: shape (n_obs, 2, 3): error of headings from the course at start and end, rad a metre of the sensor's place (x, y)
+    #: and a second of delay; zero where measured
     course_error: FloatArray
     common_frame: bool  #: whether places on the floor mean the same in all observations
     guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one

@@ -68,8 +68,8 @@ class Observation:
     sigma_start_rad: float = 0.0
     #: shape (3,): start in the frame common to all runs, else NaN
     start_pose: FloatArray = field(default_factory=lambda: _nan(3))
-    #: shape (2, 3): error of headings taken from the course at start and end, a metre of the sensor's place (x, y) and
-    #: a second that it reads late beyond that of a measured heading
+    #: shape (2, 3): error of headings from the course at start and end, a metre of the sensor's place (x, y) and a
+    #: second of delay, beyond that of a measured heading
     course_error: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
     by_gyro: bool = False
     reference: "ReferencePoses | None" = None  #: of a run, by its log

@@ -38,8 +38,8 @@ class GapArrays:
     channels: tuple[tuple[str, str], ...]
     #: run, session and kind of each observation, shape (n,)
     labels: Mapping[str, StrArray]
-    #: measured minus simulated without and with the named causes, on held-out runs, and one standard deviation; NaN
-    #: without the channel, shape (n, n_channels)
+    #: measured minus simulated without and with the named causes, held out, and one standard deviation; NaN without the
+    #: channel, (n, n_channels)
     before: FloatArray
     after: FloatArray
     noise_level: FloatArray
