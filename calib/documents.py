@@ -83,9 +83,8 @@ def templates_of(package: str, *, markup: bool = False) -> "Environment":
 def checksum(document: dict[str, object]) -> str:
     """Return ``sha256:`` and the hexadecimal SHA-256 of the canonical form of `document`.
 
-    The document without its checksum; keys sorted, no white space, ASCII only, every number written as the shortest
-    decimal that reads back as the same double, so that 4096 and 4096.0 are one number. Raises ValueError,
-    OverflowError where a number is not a finite double.
+    Without its checksum; keys sorted, no white space, ASCII only, every number the shortest decimal that reads back as
+    the same double: 4096 and 4096.0 are one. Raises ValueError, OverflowError where one is not a finite double.
     """
     import hashlib
     import json

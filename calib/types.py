@@ -53,7 +53,7 @@ def grouped(pairs: Iterable[tuple[Key, Item]]) -> dict[Key, list[Item]]:
 def since_start(steps: FloatArray, offsets: IntArray) -> FloatArray:
     """Return running sums of steps within each run, 0 at its first sample; runs stand in the last axis, same shape."""
     total = np.cumsum(steps, axis=-1)
-    return np.asarray(total - np.repeat(total[..., offsets[:-1]], np.diff(offsets), axis=-1))
+    return total - np.repeat(total[..., offsets[:-1]], np.diff(offsets), axis=-1)
 
 
 def unwrapped(theta: FloatArray) -> FloatArray:

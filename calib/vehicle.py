@@ -91,8 +91,7 @@ def check_wheel_loads(
 ) -> None:
     """Refuse wheel loads under which the vehicle would tip or carry too much.
 
-    Raises RefusedError where a wheel would lift off (no load or less) or carry more than is permitted; names the wheel
-    and the load.
+    Raises RefusedError where a wheel would lift off or carry more than is permitted; names the wheel and the load.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ from calib.io import write_folder
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, grouped
 
 _KNOWN: Final = (*LABEL_COLUMNS, *NUMERIC_COLUMNS, "excluded")
-#: in so many spreads no run agrees by chance with a statistic of others in all numbers that vary
+#: in so many spreads no run agrees by chance with a statistic of others
 _BY_CHANCE: Final = 1e-6
 #: label -> what it may be, since checks and end poses rest on it, and what to do about others
 _CHOICES: Final = {
@@ -232,9 +232,8 @@ def write_campaign(
 ) -> Path:
     """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none, of one generation.
 
-    Raises BadInputError where a campaign is there and `force` is False, or the folder cannot be written; other files
-    stay. `log_decimals`: as ``{"range_m": 4}``; other columns read back exactly, times to the nanosecond; `beside`:
-    further files by name (``ingest.json``); see `write_folder`.
+    Raises BadInputError where a campaign is there and `force` is False, or the folder cannot be written. Other files
+    stay. `log_decimals`: as ``{"range_m": 4}``; other columns read back exactly; `beside`: further files by name.
     """
 
     def fill(scratch: Path) -> None:

@@ -47,9 +47,9 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
     """Read a campaign.
 
     `folder`: holds ``campaign.toml``, ``runs.csv`` (or ``.xlsx``, ``.parquet``) and the logs that the table names, or
-    ``logs/<run_id>.csv``; `lenient`: keep faults of single runs (a run id twice, a log missing or damaged) as notes of
-    level ``wrong``. Missing wheel loads are computed from the payload (Eqs 1 and 2), counts and distance taken from the
-    logs, all in ``notes``. Raises BadFileError, which names file, row and column.
+    ``logs/<run_id>.csv``; `lenient`: keep faults of single runs as notes of level ``wrong``. Missing wheel loads are
+    computed from the payload (Eqs 1 and 2), counts and distance taken from the logs, all in ``notes``. Raises
+    BadFileError, which names file, row and column.
     """
     folder = Path(folder)
     if not folder.is_dir():

@@ -31,7 +31,7 @@ SOURCE_NAMES: Final = {
     "wheels": "four wheels",
     "shaft": "the drive shaft and the steering",
 }
-#: column in memory: way to the left since the start that mecanum wheels rolled or an axle slipped, m
+#: column in memory: way to the left since the start, rolled or slipped, m
 ASIDE: Final = "aside_m"
 #: no wheel is driven slower: of 0.1 m, 1 mm/s
 SLOWEST_RADPS: Final = 0.01

@@ -275,7 +275,7 @@ def challenge_own(
     seed: int = 0,
     progress: Progress = silent,
 ) -> Own:
-    """Plant known effects on a campaign's own noise and route, and diagnose each; see `OwnNoise`.
+    """Plant known effects on a campaign's own noise, and diagnose each; see `OwnNoise`.
 
     Parameters
     ----------

@@ -64,8 +64,7 @@ def from_fit(
     """Return the coefficient file of a fit: its laws, vehicle, encoder and load points.
 
     `outside`, `created`: see `Header`; `inputs`: path of an input -> its SHA-256; None: by the fit's provenance. Raises
-    BadInputError where the fit lacks vehicle and encoder, or its provenance is damaged; ImplausibleError where it is
-    beyond the vehicle's bounds and not accepted.
+    BadInputError where the fit lacks vehicle or encoder, or is damaged; ImplausibleError where it is not accepted.
     """
     if fit.implausible and not fit.accepted:
         raise ImplausibleError(fit.name, fit.implausible)
@@ -283,7 +282,7 @@ def _law(geometry: "Geometry", campaign: Campaign, side: str) -> WheelLaw:
 
 
 def _scatter(geometry: "Geometry") -> tuple[float, float]:
-    # relative: of each radius against the mean, and of the mean
+    # relative: against the mean, and of the mean
     by_name = geometry.noise_expected
     return 0.5 * by_name.get("yaw_scatter", 0.0), by_name.get("radius_scatter", 0.0)
 
@@ -309,9 +308,9 @@ def coefficients_of(
 ) -> Source:
     """Return the coefficients of a campaign (fitted now), a result of fit or geometry, or a coefficient file.
 
-    Without rear wheels they are the geometry's. `outside`, `created`: see `Header`; None: the file's; `accept`: why a
-    law beyond its vehicle's bounds is passed on; empty: refused. Raises BadInputError where one cannot be used;
-    RefusedError where the campaign allows no law.
+    Without rear wheels they are the geometry's. `outside`, `created`: see `Header`; None: the file's; `accept`: why an
+    implausible law is passed on; empty: refused. Raises BadInputError where one cannot be used; RefusedError where the
+    campaign allows no law.
     """
     path = Path(path)
     if outside not in (None, *get_args(Outside)):

@@ -54,9 +54,9 @@ class CovarianceEntry(Section):
 class GeometrySection(Section):
     """Geometry estimated together: every parameter of the drive, and the joint covariance of those determined.
 
-    Holds what the wheels' sections cannot: the parameters of drives other than two wheels on an axle, and the terms
-    that couple left, right and track. Parameters without a variance were not determined and keep their nominal
-    value. run_covariance: of a single run's scatter about both laws.
+    Of other drives than two wheels on an axle too, and with the terms that couple left, right and track. Parameters
+    without a variance were not determined and keep their nominal value. run_covariance: of a single run's scatter
+    about both laws.
     """
 
     drive: Drive
@@ -96,7 +96,7 @@ class GeometrySection(Section):
         names, covariance
             Those that were determined, and their covariance.
         run_covariance_m2
-            Of the scatter of single runs about both radii; None: not estimated.
+            By the scatter of single runs; None: not estimated.
         """
         units = {name: unit_of(name) for name in values}
         entries = []

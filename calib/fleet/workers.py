@@ -117,7 +117,7 @@ class Engine:
         """Run a task on all items and yield results as they come, one an item.
 
         Items of a dead worker are tried again one by one. `task`: a module's function; `given_up`: makes the result of
-        an item that ended its worker twice, from item and reason; `weigh`: work of an item.
+        an item that ended its worker twice; `weigh`: work of an item.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []

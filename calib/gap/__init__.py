@@ -199,7 +199,7 @@ class Steps:
         mean_h = s.total(weight * self.mid_rad) / total
         da, dh = along - mean_a[s.unit], self.mid_rad - mean_h[s.unit]
         slope = s.total(weight * da * dh) / np.maximum(s.total(weight * da * da), 1e-12)
-        return np.asarray(np.cos(dh - slope[s.unit] * da))
+        return np.cos(dh - slope[s.unit] * da)
 
     def lever(self, name: str) -> Lever:
         """Return the lever of a field of a perturbation, or of ``both`` wheels' travel; each is worked out once."""

@@ -46,10 +46,9 @@ def applied_model(
 ) -> CoefficientFile:
     """Return the campaign's model with the named causes added, as a coefficient file; refused where none is named.
 
-    The fitted recalibration goes into radii and track, a load effect into the slopes of the law; others are written by
-    id, form, settings and parameters, which `model_of` and `with_effects` of `calib.gap.effects.library` take back. The
-    diagnosed model's own (`effects`) are kept, and of its file (`believed`) what is known of slopes that no load effect
-    changes: their uncertainty, scatter of runs and range.
+    The fitted recalibration goes into radii and track, a load effect into the slopes of the law; others are written as
+    `model_of` and `with_effects` of `calib.gap.effects.library` take them. The diagnosed model's own (`effects`) are
+    kept, and of its file (`believed`) what is known of slopes that no load effect changes.
     """
     if not diagnosis.causes:
         why = "there is no gap" if diagnosis.kind is VerdictKind.NO_GAP else f"the verdict is {diagnosis.kind.value}"

@@ -49,7 +49,7 @@ from calib.gap.plan.planned_runs import joined
 from calib.gap.predict import Path, predict, residuals
 from calib.types import Progress, silent
 
-#: largest variance factor of the fit over the noise level: more is a cause not found
+#: largest variance factor of the fit over the noise level
 MOST_VARIANCE_FACTOR: Final = 1.5
 #: estimates of the noise level, each without causes named so far: one or two settle it
 NOISE_PASSES: Final = 3
@@ -75,9 +75,9 @@ def diagnose_in_full(
 ) -> Diagnosis:
     """Diagnose the gap of a campaign by the ends of its runs, and by windows of its recordings where these tell more.
 
-    Parameters and refusals: see `calib.api.results.diagnose`; of `model` the effects are `applied` ones, and
-    `model_name` is its file. `plan`: recommend runs. `observations` stand in place of the campaign's, and hold `model`
-    and `applied`; `candidates` in place of the library, and `model_name` is then what simulated.
+    See `calib.api.results.diagnose`; of `model` the effects are `applied` ones, and `model_name` is its file, or what
+    simulated. `plan`: recommend runs. `observations` stand in place of the campaign's, and hold `model` and `applied`;
+    `candidates` in place of the library.
     """
     sought, planted = Sought(model, applied, exclude), observations
     campaign, unloaded = (campaign, "") if planted is not None else with_known_loads(campaign)

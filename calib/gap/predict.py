@@ -149,7 +149,7 @@ class Path:
         with np.errstate(invalid="ignore"):
             bent = np.abs(s.measured[:, Channel.HEADING]) > GUIDED_TURN_RAD
         turned = s.of_parts(lambda part: part.total(np.abs(part.turn_rad)))
-        return np.asarray(((turned < GUIDED_TURN_RAD) & ~bent) | s.guided)
+        return ((turned < GUIDED_TURN_RAD) & ~bent) | s.guided
 
 
 def _calibration(path: Path) -> FloatArray:
@@ -264,7 +264,7 @@ def _delay_rates(path: Path) -> FloatArray:
         before = np.zeros(len(part.s)) if own is None else own
         motions = (part.steps.motion_before_end(delay_s) for delay_s in (before, before + DELAY_STEP_S))
         now, later = (np.stack(motion, axis=1) for motion in motions)
-        return np.asarray((now - later) / DELAY_STEP_S)
+        return (now - later) / DELAY_STEP_S
 
     return path.of_parts(rates)
 

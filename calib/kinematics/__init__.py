@@ -80,7 +80,7 @@ class Recording:
     @property
     def group(self) -> IntArray:
         """Number of each run's recording, shape (n_runs,)."""
-        return np.asarray(np.unique(self.labels, return_inverse=True)[1])
+        return np.unique(self.labels, return_inverse=True)[1]
 
     @property
     def run(self) -> IntArray:
@@ -192,7 +192,7 @@ FEW_OFF: Final = 0.25
 WHOLE_TURN: Final = 0.1
 #: total turn up to which the nominal vehicle, 5 % off, tells a missing turn from its own error
 MOST_TURNS_RAD: Final = 10.0 * np.pi
-#: a heading that turns by less between two reference samples, twice what the wheels say, is followed
+#: a heading that turns by less between two samples, twice what the wheels say, is followed
 FOLLOWED_RAD: Final = 1.0
 #: poses of a run that make a reference continuous
 MANY_POSES: Final = 20

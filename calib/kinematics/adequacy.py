@@ -37,7 +37,7 @@ LEAST_TOLD: Final = 0.25
 CARRIED_ALONE: Final = 0.01
 #: from which replicates' scatter counts: known to about a third
 REPLICATE_DOF: Final = 4
-#: drift of a calibrated odometry (UMBmark: 0.1 to 0.5 %): share of way and rotation, and rad per metre
+#: drift of a calibrated odometry (UMBmark: 0.1 to 0.5 %)
 USUAL_DRIFT: Final = 0.003
 #: chance of an outlier: one in a hundred campaigns
 OUTLIER_CHANCE: Final = 0.01

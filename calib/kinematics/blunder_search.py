@@ -180,7 +180,7 @@ def _tried(
     return Trial(share, near, turned, (scale, by_name.get(drives.STEERING_SCALE, 1.0)))
 
 
-#: turns of less say little: added to the rotation that heading residuals are relative to
+#: turns of less say little: added to the rotation
 LEAST_TURN_RAD: Final = 0.2
 #: solutions of each step, weighed by what the last one leaves
 REWEIGHTED: Final = 6

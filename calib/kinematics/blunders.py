@@ -47,7 +47,7 @@ OF_A_COURSE: Final = (
 )
 #: column of the yaw rate that, with v_mps, stands for two wheels
 TWIST: Final = "omega_radps"
-#: displacements within 60 degrees of the wheels' way, or of its opposite, tell its sense
+#: displacements within 60 degrees of the wheels' way tell its sense
 ALONG: Final = 0.5
 #: where turns are not told, a displacement below this part of the way (a loop) tells nothing
 FAR: Final = 0.1
@@ -188,8 +188,7 @@ def straight_reading_rad(
 ) -> float:
     """Return the steering angle read straight ahead; 0 where near that, NaN where these turns do not follow it.
 
-    A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``. Of c and its opposite that nearer to
-    most readings is taken.
+    A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``.
 
     Parameters
     ----------
@@ -246,7 +245,7 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
 
 
 WHEELS: Final = ("front_left", "front_right", "rear_left", "rear_right")
-#: columns as they stand count as wrong where others leave less than this part of what they leave
+#: columns are wrong where others leave less than this part of what they leave
 CLEARLY_LESS: Final = 0.25
 #: and where they leave more than this part of the way and of the turns
 POOR: Final = 0.1

@@ -19,7 +19,7 @@ from calib.kinematics.model import Model, Segments, measured_between
 from calib.kinematics.uncertainty import whitened
 from calib.types import FloatArray
 
-#: standard deviations by which a size must stand out: several are tried, of few groups
+#: standard deviations by which a size must stand out: several are tried
 CLEAR: Final = 6.0
 #: of slip: sound runs have up to 2.2
 CLEAR_SLIP: Final = 4.5
@@ -121,7 +121,7 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
 FEWEST_GROUPS: Final = 8
 #: a size below this part of the one tried is another's, or of the wrong sign
 LEAST_SIZE: Final = 0.5
-#: so many times the one tried, a third of an axis or seconds of steering, no linear step reaches
+#: so many times the one tried no linear step reaches
 LARGEST_SIZE: Final = 30.0
 
 

@@ -123,7 +123,7 @@ def nominal_values(drive: "Drive") -> FloatArray:
 
 def nominal_motion(drive: "Drive", steps: "Steps") -> FloatArray:
     """Return the way ahead, to the left and the turn in each step by the nominal values of a drive, (3, n_samples)."""
-    return np.asarray(drive.motion(np.array([item.nominal for item in drive.parameters]), steps).body)
+    return drive.motion(np.array([item.nominal for item in drive.parameters]), steps).body
 
 
 #: relative, about the nominal length

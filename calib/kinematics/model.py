@@ -95,11 +95,9 @@ def end_pose_segments(recording: Recording) -> Segments:
 def window_segments(recording: Recording, blocks: int) -> Segments:
     """Return windows of three lengths, nested in blocks of equal travel.
 
-    `blocks`: into about how many all runs together are cut; a run is one at least. Raises RefusedError where the
-    reference follows the vehicle nowhere.
-
-    Shorter windows overlap by half. Of positions alone every window begins where its run does, with heading zero; in a
-    map its direction is that of the chord about its start, where that is not short.
+    `blocks`: into about how many all runs together are cut; a run is one at least. Shorter windows overlap by half. Of
+    positions alone every window begins where its run does, with heading zero; in a map its direction is that of the
+    chord about its start. Raises RefusedError where the reference follows the vehicle nowhere.
     """
     travel = recording.travel_rad
     ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])

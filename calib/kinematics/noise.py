@@ -21,10 +21,10 @@ FEWEST_DOF: Final = 5
 #: scatter -> the walk that it is told from, and relative changes of the radii, left and right
 _SCATTERS: Final = {"radius_scatter": ("along_walk", (1.0, 1.0)), "yaw_scatter": ("heading_walk", (-0.5, 0.5))}
 _RADII: Final = ("radius_left_m", "radius_right_m")
-#: of what without scatter the walk is, all alike likely before
+#: of what the walk is without scatter, all alike likely
 _WALK_PARTS: Final = np.linspace(0.05, 1.55, 16)
-#: of what without other noise the scatter of all runs is: even odds of none, else all alike likely (Gelman, Bayesian
-#: Analysis 1, 2006)
+#: of what the scatter is without other noise: even odds of none, else all alike likely (Gelman, Bayesian Analysis 1,
+#: 2006)
 _SCATTER_PARTS: Final = np.linspace(0.0, 4.0, 81)
 _ODDS: Final = np.where(_SCATTER_PARTS > 0.0, 1.0 / 80.0, 1.0)
 
@@ -33,9 +33,8 @@ def noise_sizes(fitted: Fitted, stated: FloatArray) -> tuple[dict[str, float], d
     """Return standard deviations of the noise's components: estimated, and to expect of a further journey.
 
     `stated`: variances by the settings, shape (4,). The estimate is of residuals enlarged by what the parameters took
-    of each block (Bell and McCaffrey). Few blocks leave variances uncertain: to expect is the mean of those possible,
-    with the relative scatter of the radii from run to run where `ENOUGH_RUNS` tell it from walks: both leave the same
-    at the ends of like runs, but a walk grows with the root of the way, scatter with the way.
+    of each block (Bell and McCaffrey). To expect is the mean of the variances possible, with the relative scatter of
+    radii from run to run, told from walks by `ENOUGH_RUNS`: it grows with the way, a walk with its root.
     """
     model, solution = fitted.model, fitted.solution
     segments, scales = model.segments, solution.scales
@@ -99,7 +98,7 @@ def _told_from_walks(fitted: Fitted, expected: Mapping[str, float]) -> dict[str,
             likelihood = 0.5 * float(np.linalg.slogdet(inverse)[1].sum() - each[:, 1, 1].sum())
             size, pull = (np.bincount(run, of).astype(np.float64) for of in each[:, 0].T)
             rows.append((likelihood, size, pull))
-        # none is told by runs of which a single one does not tell the radii
+        # a single run that does not tell the radii tells no scatter
         if float(np.median(rows[-1][1])) * NOMINAL_STD**2 < 1.0:
             continue
         variances = np.square(_SCATTER_PARTS) * max((pull @ pull) / (size @ size) for _, size, pull in rows)
@@ -112,7 +111,7 @@ def _told_from_walks(fitted: Fitted, expected: Mapping[str, float]) -> dict[str,
 
 
 def _log_likelihood(information: FloatArray, pulls: FloatArray, variances: FloatArray) -> FloatArray:
-    # of each variance of what runs add; what all have in common was estimated, and is integrated over
+    # of each variance of what runs add; what all have in common is integrated over
     wider = 1.0 + variances[:, None] * information
     common, pull = (information / wider).sum(axis=1), (pulls / wider).sum(axis=1)
     gained = (variances[:, None] * np.square(pulls) / wider - np.log(wider)).sum(axis=1)

@@ -52,7 +52,7 @@ class Path:
         first = np.append(0, at[:-1] + 1)
 
         def until(values: FloatArray) -> FloatArray:
-            return np.asarray(np.cumsum(np.add.reduceat(values[: at[-1] + 1], first)))
+            return np.cumsum(np.add.reduceat(values[: at[-1] + 1], first))
 
         by_motion = self.motion.by_parameter
         by_parameter = np.empty((len(by_motion), 3, len(at)))

@@ -40,7 +40,7 @@ JUMP_FACTOR: Final = 8.0
 MOST_JUMPS: Final = 2.0
 #: its jumps differ: wheels speed up
 ALIKE: Final = 0.1
-#: gear ratios tried, near enough for the scale of the steering angle to be found from one of them
+#: gear ratios tried, near enough to find the steering angle's scale from one
 GEAR_RATIOS: Final = tuple(float(ratio) for ratio in np.geomspace(2.0, 64.0, 11))
 
 Change = Callable[[Recording], Recording]
@@ -54,7 +54,7 @@ class Reading:
 
     blunder: Fault
     change: Change
-    #: the same with the column in question zero: no better, a reading takes the column's words away
+    #: the same with the column zero: a reading must be better
     zeroed: Change | None = None
     #: the same for a factor of which a fit tells the rest: of the radii, or of the steering angle
     refined: "Callable[[tuple[float, float]], Reading] | None" = None
@@ -298,7 +298,7 @@ def _steering(steer: FloatArray) -> Iterator[Reading]:
             text = f"steer_rad: it wraps at {factor * period:.3g} rad (an absolute encoder); unwrap it about its zero"
 
             def unwrapped(angle: FloatArray, full: float = factor * period) -> FloatArray:
-                return np.asarray(np.where(angle > 0.5 * full, angle - full, angle))
+                return np.where(angle > 0.5 * full, angle - full, angle)
 
             yield Reading(Fault("steering_wraps", text), steered(unwrapped))
     if float(np.max(np.abs(steer))) > LARGEST_STEERING_RAD:

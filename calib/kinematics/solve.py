@@ -88,7 +88,7 @@ DEGREES: Final = 5.0
 ROUNDS: Final = 15
 NOISE_ROUNDS: Final = 4
 INNER: Final = 40
-#: stretches from which the noise is estimated; more tell nothing new of four numbers
+#: stretches from which the noise is estimated
 NOISE_STRETCHES: Final = 500
 #: a step below this part of a standard deviation ends the search; one below it squared ends the steps within
 CLOSE: Final = 1e-3
@@ -96,7 +96,7 @@ CLOSE: Final = 1e-3
 INEXACT: Final = 1e-2
 #: a step of the noise's variances that gains less log likelihood is the last: some fall for ever
 STEADY: Final = 1e-3
-#: pull to the nominal values, in parts of the information there is; only for solvability
+#: pull to the nominal values, in parts of the information: only for solvability
 RIDGE: Final = 1e-10
 #: step, in prior spreads
 LONGEST: Final = 3.0
@@ -133,7 +133,7 @@ class Solution:
     whitener: FloatArray
     #: robust, shape (n,)
     weights: FloatArray
-    #: squared whitened residuals, rescaled so that their middle is where normal noise has it, shape (n,)
+    #: squared whitened residuals, their middle where normal noise has it, shape (n,)
     squares: FloatArray
     converged: bool
     #: information that nominal values add, shape (n_free, n_free)
@@ -224,7 +224,7 @@ def _nominal(
 
 def _known(parameters: Parameters, values: FloatArray) -> FloatArray:
     rows = parameters.pull / parameters.prior_std[parameters.free]
-    return np.asarray((rows.T * np.minimum(_nominal(parameters, values)[1], 1.0)) @ rows)
+    return (rows.T * np.minimum(_nominal(parameters, values)[1], 1.0)) @ rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -60,7 +60,7 @@ def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
 
 #: cosines for n blocks: this times n^(2/3), so that of many blocks only the slower part counts
 COSINES: Final = 3.3
-#: how much steeper than level a spectrum may be: slope at zero over the square of the frequency
+#: how much steeper than level a spectrum may be, over the square of the frequency
 STEEPNESS: Final = np.concatenate([-np.logspace(2.0, -1.0, 13), [0.0], np.logspace(-1.0, 2.0, 13)])
 
 
@@ -92,9 +92,9 @@ def _level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple
 def covariance_along(pulls: FloatArray, information: FloatArray, directions: FloatArray) -> tuple[FloatArray, Freedom]:
     """Return the covariance of sums of parameters, and its degrees of freedom.
 
-    `pulls` (shape (n_blocks, n_parameters)): of each block, in the order driven, in columns in which all blocks
-    together have unit information; `information` (shape (n_blocks, n_parameters, n_parameters)) and `directions`, see
-    `own_directions`: in the same columns. The covariance is that of the directions.
+    `pulls` (shape (n_blocks, n_parameters)): of each block, in the order driven, in columns in which all together have
+    unit information; `information` (shape (n_blocks, n_parameters, n_parameters)) and `directions` (`own_directions`):
+    in the same columns. The covariance is that of the directions.
     """
     waves, squares = _cosines(len(pulls))
     number, amplitudes = len(squares), waves @ pulls @ directions.T
@@ -192,7 +192,7 @@ def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, Floa
 
 
 def _by_nominal(solution: Solution, root: FloatArray, scale: FloatArray) -> FloatArray:
-    return np.asarray((bread := root @ root.T * np.outer(scale, scale)) @ solution.pull @ bread)
+    return (bread := root @ root.T * np.outer(scale, scale)) @ solution.pull @ bread
 
 
 def _rows_of(cluster: IntArray) -> Iterator[IntArray]:

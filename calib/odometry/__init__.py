@@ -258,8 +258,8 @@ def integrate(
     Parameters
     ----------
     travel_left_m, travel_right_m : array_like of float, shape (n,) or (runs, n)
-        Travel in each step: one log, runs of equal length, or, with `offsets`, of any length laid end to end. With 0 at
-        a run's first sample the poses stand at the samples.
+        Travel in each step: one log, runs of equal length, or, with `offsets`, of any length end to end; 0 at a run's
+        first sample.
     track_m : array_like of float
         Distance of the rear wheels' contact points; broadcasts to the travel's shape.
     offsets : array_like of int, shape (runs + 1,), optional
@@ -267,13 +267,11 @@ def integrate(
     start : array_like of float, shape (3,) or (runs, 3)
         Start pose (x in m, y in m, theta in rad), one for all or one a run.
     scheme : {"exact", "mid_point", "euler", "end_point"}
-        A step is an arc; or a straight line at the heading in its middle, at its beginning, or at its end (Eq. 7 as
-        printed).
+        A step is an arc; or a line at the heading in its middle, at its beginning, or at its end (Eq. 7 as printed).
     out : Poses, optional
         Contiguous arrays of the travel's shape to write to.
     compiled : bool, optional
-        Whether machine code (extra ``fast``) draws exact arcs, the same to 1e-9 m; None: where installed, from
-        `MANY_STEPS` on.
+        Whether machine code (extra ``fast``) draws exact arcs; None: where installed, from `MANY_STEPS` on.
     """
     flat = _laid_flat(travel_left_m, travel_right_m, track_m, offsets, start)
     n = len(flat.left)

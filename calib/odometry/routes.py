@@ -288,7 +288,7 @@ def travel_from_counts(
     def travel(counts: FloatArray, per_rev: float, radius_m: FloatArray) -> FloatArray:
         steps = np.diff(counts, prepend=counts[:1])
         steps[firsts] = 0.0
-        return np.asarray(steps * ((2 * np.pi / per_rev) * _wide(radius_m, edges, len(counts))))
+        return steps * ((2 * np.pi / per_rev) * _wide(radius_m, edges, len(counts)))
 
     return (
         travel(floats(counts_left), encoder.counts_per_rev_left, floats(radius_left_m)),

@@ -182,7 +182,7 @@ class _Runs:
         if self.past is not None:
             self.past.add(self.steering)
         self.ahead, self.bend = np.cos(heading), np.maximum(1.0 - bend * lateral, 0.3)
-        return np.asarray(rolling)
+        return rolling
 
     def accelerate(self, number: int) -> BoolArray:
         remaining = self.target_m - self.progress_m
@@ -271,7 +271,7 @@ class _Runs:
 
 def _within(values: FloatArray, most: float) -> FloatArray:
     # on short arrays three times as fast as np.clip
-    return np.asarray(np.minimum(np.maximum(values, -most), most))
+    return np.minimum(np.maximum(values, -most), most)
 
 
 def _stops(world: World, tables: RouteTables) -> FloatArray:

@@ -210,7 +210,7 @@ class FleetTruth:
     radius_spread_m: float = 6e-5
     slope_mean_m_per_N: float = -1.2e-6
     slope_spread_m_per_N: float = 6e-8
-    #: vehicles off in a radius or slope, drifting, and of hall B, where the right radius seems larger
+    #: vehicles off in a radius or slope, drifting, and of hall B
     outliers: tuple[str, ...]
     drifting: tuple[str, ...]
     common: tuple[str, ...]
@@ -324,7 +324,7 @@ def _write_beside(folder: Path, halls: Mapping[str, str], truth: "FleetTruth | P
     (folder / "truth.json").write_text(json.dumps(asdict(truth), indent=2) + "\n", encoding="utf-8")
 
 
-#: what each metre of the zone takes from the way of one wheel and adds to the other's
+#: what a metre of the zone takes from one wheel's way and adds to the other's
 ZONE_SHARE: Final = 5e-3
 
 

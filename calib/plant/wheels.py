@@ -67,7 +67,7 @@ def _creep_two(world: World, size: FloatArray, knobs: Knobs) -> None:
 
     def grown(t_min: FloatArray) -> FloatArray:
         fast, slow = 1 - np.exp(-t_min / (0.5 * knobs["tau_min"])), 1 - np.exp(-t_min / (3 * knobs["tau_min"]))
-        return np.asarray(0.55 * fast + 0.45 * slow)
+        return 0.55 * fast + 0.45 * slow
 
     start = grown(minutes)
     world.enlarge(-size * left * start, -size * right * start)
@@ -225,7 +225,7 @@ def _side_slip(now: Moment, _world: World, size: FloatArray, _knobs: Knobs) -> N
 
 def _braked(now: Moment) -> FloatArray:
     # its size in metres a stop from 0.5 m/s: braking at a takes v^2/2a
-    return np.asarray(8.0 * np.maximum(-now.acceleration_mps2, 0.0))
+    return 8.0 * np.maximum(-now.acceleration_mps2, 0.0)
 
 
 def _drag(world: World, size: FloatArray, knobs: Knobs) -> None:

@@ -1,8 +1,7 @@
 """From runs to a law: effective radii, path deviation, regression on load.
 
-A radius is ``a + b x + session + run``, each scatter estimated from its own stratum; see `calib.radius.law`.
-
-The residuals of a session are a first-order autoregression; see `docs/report.md`.
+A radius is ``a + b x + session + run``, each scatter estimated from its own stratum, the residuals of a session a
+first-order autoregression; see `docs/report.md`.
 """
 
 from collections.abc import Callable
@@ -57,7 +56,7 @@ class Groups:
 
     def within(self, values: FloatArray) -> FloatArray:
         """Return `values` minus their session's mean, shape (n_runs,)."""
-        return np.asarray(values - self.means(values)[self.index])
+        return values - self.means(values)[self.index]
 
 
 def groups_of(session: ArrayLike) -> Groups:
@@ -94,9 +93,7 @@ def line_of_strata(
     square: float,
     residual_square: float,
 ) -> LineEstimate | None:
-    """Return the session-aware line of two sessions or more, by session means and the regression within sessions.
-
-    None where sessions cannot be told from runs or their means leave no degree of freedom.
+    """Return the line of two sessions or more; None where they cannot be told from runs or leave no degree of freedom.
 
     Parameters
     ----------

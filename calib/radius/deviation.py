@@ -35,8 +35,8 @@ def weave_excess(
     """Return the relative excess of a weave over any distance, whole periods or not (Fig. 8b).
 
     The path is ``y = A sin(2 pi x / lambda + phase)`` for x from 0 to S_O;
-    ``S_R,L = S +- (track / 2) (theta_end - theta_start)``. A and lambda, see `whole_period_excess`, S_O and the phase
-    broadcast; at phase 0 the run starts with a heading of atan(2 pi A / lambda).
+    ``S_R,L = S +- (track / 2) (theta_end - theta_start)``. A and lambda, see `whole_period_excess`, S_O and phase
+    broadcast.
     """
     from scipy.special import ellipeinc
 

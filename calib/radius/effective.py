@@ -23,7 +23,7 @@ QUANTISATION_COUNTS: Final = (1.0 / 6.0) ** 0.5
 STRAIGHT_TURN_RAD: Final = 1.2
 #: largest measured turn of a straight run
 STRAIGHT_HEADING_RAD: Final = 0.5
-#: shortest run used: below, counts and rangefinder leave an uncertainty above 0.1 % of the radius
+#: shortest run used: below, a radius is uncertain by more than 0.1 %
 SHORTEST_M: Final = 1.0
 
 
@@ -214,9 +214,9 @@ def _budget(parts: Mapping[str, FloatArray], campaign: Campaign) -> tuple[Compon
     )
 
 
-#: half width over standard deviation; of a normal distribution that of its 95 % interval
+#: half width over standard deviation; of a normal distribution by its 95 % interval
 _DIVISORS: Final[Mapping[str, float]] = {"rectangular": math.sqrt(3.0), "triangular": math.sqrt(6.0), "normal": 1.96}
-#: fourth moment over the squared variance: the distance depends on the square of the beam's angle
+#: fourth moment over the squared variance
 _KURTOSIS: Final[Mapping[str, float]] = {"rectangular": 9.0 / 5.0, "triangular": 12.0 / 5.0, "normal": 3.0}
 
 

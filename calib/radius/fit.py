@@ -39,7 +39,7 @@ from calib.types import FloatArray, IntArray, StrArray
 
 #: largest reference load over the largest driven; beyond, rounding takes all digits
 MAX_REFERENCE_RATIO: Final = 1e4
-#: largest plausible change of a radius with load, and scatter of single runs, as shares of the radius
+#: largest plausible change with load, and scatter of runs, as shares of the radius
 MAX_LOAD_CHANGE: Final = 0.2
 MAX_SCATTER: Final = 0.03
 #: smallest range of temperatures that the temperature check is made for
@@ -86,9 +86,9 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, noted: bool = True) -> Fit:
     """Return the fit of a campaign: radii, both laws, static radii where measured.
 
-    Static radii are the columns ``static_radius_left_m`` and ``static_radius_right_m``; `reference_load_N`: see
-    `fit_law`; None: the model's; `noted`: with the campaign's notes first. Raises RefusedError where fewer than three
-    runs can be used; ImplausibleError where implausible units or settings are the reason.
+    Static radii are columns (``static_radius_left_m``); `reference_load_N`: see `fit_law`; None: the model's; `noted`:
+    with the campaign's notes first. Raises RefusedError where fewer than three runs can be used; ImplausibleError where
+    implausible units or settings are the reason.
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:

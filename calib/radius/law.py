@@ -19,7 +19,7 @@ JOINT: Final = ("radius_left_m", "slope_left_m_per_N", "radius_right_m", "slope_
 #: of all intervals, and the quantile at their upper end
 COVERAGE: Final = 0.95
 UPPER: Final = 0.5 + COVERAGE / 2
-#: shares of the between part for which critical values are solved; denser at the ends, where they bend
+#: shares of the between part for which critical values are solved
 SHARES: Final = 0.5 * (1 - np.cos(np.pi * np.arange(25) / 24))
 #: half steps of the solution; the coverage is then right to 0.15 %
 WELCH_ITERATIONS: Final = 12
@@ -178,7 +178,7 @@ class RadiusLaw:
         """Return the covariance of radii at loads (left, right) and of the track, shape (3, 3); see `covariance`."""
         at = np.zeros((3, len(JOINT)))
         at[0, :2], at[1, 2:4], at[2, 4] = self.left.contrast(loads_N[0]), self.right.contrast(loads_N[1]), 1.0
-        return np.asarray(at @ self.covariance(track_std_m, single_run=single_run) @ at.T)
+        return at @ self.covariance(track_std_m, single_run=single_run) @ at.T
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,12 +221,12 @@ class LineEstimate:
     @property
     def cov_systematic(self) -> FloatArray:
         """Part of the covariance that no number of runs makes smaller, shape (2, 2)."""
-        return np.asarray(self.systematic.T @ self.systematic)
+        return self.systematic.T @ self.systematic
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the coefficients, shape (2, 2)."""
-        return np.asarray(self.cov_within + self.cov_between + self.cov_systematic)
+        return self.cov_within + self.cov_between + self.cov_systematic
 
     def half_width(self, contrast: ArrayLike, *, single_run: bool = False) -> FloatArray:
         """Return the half width of the interval of ``contrast @ coefficients``, shape (...).

@@ -17,7 +17,7 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
 #: least share of real turns in the variance of measured headings for these to be used
 MIN_RELIABILITY: Final = 0.05
-#: equal steps of the distance rolled on which headings are fitted: six a period of the shortest weave
+#: steps on which headings are fitted: six a period of the shortest weave
 HEADING_POINTS: Final = 256
 #: runs fitted at once, to save memory
 RUN_CHUNK: Final = 128
@@ -29,7 +29,7 @@ MIN_PERIODS: Final = 0.5
 MAX_PERIODS: Final = 42.0
 #: step of the starting values, in periods; below half, so that Gauss-Newton finds the right wave
 PERIOD_STEP: Final = 0.25
-#: a fit diverged whose headings about its trend are this factor above those about a straight line
+#: a fit diverged whose residuals are this factor above a straight line's
 MAX_TREND_RATIO: Final = 3.0
 TINY_RAD: Final = 1e-9
 #: powers of the radii in the fields of `Weaves`
@@ -206,7 +206,7 @@ class Weaves(NamedTuple):
     @property
     def known(self) -> BoolArray:
         """Whether the log of a run gave an estimate, shape (n_runs,)."""
-        return np.asarray(np.isfinite(self.excess))
+        return np.isfinite(self.excess)
 
 
 def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: float) -> Weaves:
@@ -254,8 +254,7 @@ def _headings(
 def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
     """Fit trend and weave to headings on equal steps of the distance rolled.
 
-    The model is ``heading = offset + trend s + atan(dy/dx)`` with ``dy/dx = p cos(k x) + q sin(k x)``; it is fitted by
-    Gauss-Newton over all runs at once.
+    The model is ``heading = offset + trend s + atan(dy/dx)`` with ``dy/dx = p cos(k x) + q sin(k x)``.
 
     `rolled_m` (shape (n,)): path of the axle's middle; `heading_rad` (shape (n, m)): at m equal steps from 0 to that.
     Returns the fields of `Weaves`, shape (7, n).

@@ -44,7 +44,7 @@ MIN_SLOPE_DOF: Final = 5
 NOTE_BELOW: Final = 0.01
 FAIL_BELOW: Final = 1e-4
 UM: Final = 1e6
-#: levels of a check: usable; usable with caution; the law should not be used as it is
+#: levels of a check: usable; with caution; not as it is
 OK: Final = "ok"
 NOTE: Final = "note"
 FAILED: Final = "failed"
@@ -198,7 +198,7 @@ class WheelFit:
         if self.design not in {"constant", "confounded"}:
             base = np.column_stack((base, load / load.max()))
         u, size, _ = np.linalg.svd(base, full_matrices=False)
-        return np.asarray(u[:, size > 1e-10 * size[0]])
+        return u[:, size > 1e-10 * size[0]]
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values; the contract's keys first."""
@@ -391,4 +391,4 @@ def _if_fully_correlated(left: FloatArray, right: FloatArray, of_loads: float) -
         means.append(max(covariance[0, 0] - slope[0] ** 2, 0.0))
     between = of_loads * np.outer(*slopes)
     between[0, 0] += np.sqrt(means[0] * means[1])
-    return np.asarray(between)
+    return between

@@ -249,7 +249,7 @@ def _colour_choice(gap: GapArrays, source: ColumnDataSource, legend: Model) -> M
     return _changed(choice, "colour", source=source, legend=legend, **scales)
 
 
-#: most points of all paths, of one, and of a gap along a run: more make the page heavy
+#: most points of all paths, of one, and of a gap along a run
 ALL_POINTS: Final = 12_000
 PATH_POINTS: Final = 60
 TRACE_POINTS: Final = 120

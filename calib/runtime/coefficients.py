@@ -60,7 +60,7 @@ class Coefficients:
     `outside`: ``refuse`` or ``clamp`` a load that was not measured; `load_table`: name -> wheel loads (left, right);
     `cross_covariance`: numbers in `JOINT` of parameters estimated together, and their covariance; `unapplied_effects`:
     of the simulator's model, that this odometry lacks; `failed_checks`: what makes the law doubtful, as sentences;
-    `run_covariance_m2`: of both radii, by the scatter of single runs.
+    `run_covariance_m2`: of both radii, by single runs.
     """
 
     name: str

@@ -340,7 +340,7 @@ _STEPS: Final = 50
 _STRAIGHT_RAD: Final = 0.3
 #: width over length: above, a path covers an area; below, it is a line
 _AREA, _LINE = 0.2, 0.02
-#: relative scatter of reference over wheels: 0.5 where an axis is missing, hundredths where none is
+#: relative scatter of reference over wheels: 0.5 where an axis is missing
 _UNEVEN: Final = 0.2
 #: plausible ratio of reference to wheels; wrong counts alone make less of it
 _MOST_RATIO, _LEAST_RATIO = 3.0, 0.02

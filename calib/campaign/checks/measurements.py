@@ -191,9 +191,9 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
 _LOAD_SPREADS: Final = 6.0
 #: contradicted loads, all too large or all too small, that have a common cause (by chance 2 in 2^8)
 _TO_ONE_SIDE: Final = 8
-#: relative error of static loads: a centre of mass is known within 1 to 2 cm on a metre
+#: relative error of static loads: a centre of mass is known to 1 to 2 cm
 _STATICS: Final = 0.02
-#: least and largest share of a weight on the two rear wheels, with 5 % for the scales
+#: least and largest share of a weight on the rear wheels, with 5 % for the scales
 _REAR_SHARE: Final = (0.2, 1.05)
 
 
@@ -288,16 +288,16 @@ def reference_load(campaign: Campaign) -> Iterator[Note]:
         yield checks.setting_note("model.reference_load_N", text, "reference_load", "info")
 
 
-#: relative difference within which a reference load is one of the usual loads: scales and rounding
+#: relative difference within which a reference load is a usual load
 _SAME_LOAD: Final = 0.05
 _SWAPPED: Final = ("left and right loads look swapped, or payload_y_m counts from the right", "swapped_loads")
 _CONTRADICTED: Final = (
     "check payload, its place and the weighing, and the vehicle's mass_kg, cog_x_m and wheelbase_m",
     "contradicted_load",
 )
-#: plausible factor between the payload's weight and what it adds to the weighed loads
+#: plausible factor between a payload's weight and what it adds to the loads
 _MOST_PAYLOAD: Final = 1.6
-#: plausible share of the weighed in the computed load of the empty vehicle, of poorly known mass
+#: plausible share of the weighed in the computed load of the empty vehicle
 _LIGHTEST: Final = 0.3
 
 

@@ -15,7 +15,7 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray, evenly
 #: fewest straight runs for a finding, and standard errors beyond which their median is one
 _LEAST_STRAIGHT_RUNS: Final = 8
 _SIGMAS: Final = 6.0
-#: allowed difference of distance and end pose: in stated standard uncertainties, and at least in metres
+#: allowed difference of distance and end pose: in standard uncertainties, and at least
 _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
 #: difference from which they belong to different runs: in metres, and in allowed differences
 _OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0

@@ -20,11 +20,11 @@ UNLIKE_LOADS: Final = 0.1  #: share of their sum by which loads of wheels not co
 #: factor by which a log's clock is too fast -> the unit of its times
 CLOCK_FACTORS: Final = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 SPEED_FACTOR: Final = 30.0  #: a campaign's runs are within this factor of the usual speed
-#: largest share of the runs whose cells are reported one by one; more have a common cause
+#: largest share of runs reported one by one; more have a common cause
 MOST_ODD: Final = 0.2
 #: factor between distance and counts that means another run or unit
 ODD_RATIO: Final = 1.3
-#: steps of values: coarse from so many standard uncertainties; multiples of the smallest to this share
+#: steps of values: coarse from so many standard uncertainties, multiples to this share
 COARSE, STEP_ERROR = 3.0, 0.02
 REPEATED_VALUES, MOST_REPEATED = 8, 0.8  #: number and share that show rounding by themselves
 MOST_VALUES: Final = 10_000  #: values examined
@@ -166,7 +166,7 @@ _MOST_STEERED_RAD, _SINGLE_SAMPLES = 2.0 * np.pi, 0.01
 _MOST_CAR_RAD: Final = 1.0
 #: difference of headings and counts that is a finding, and share of it that may remain once corrected
 _MIN_DIFFERENCE_RAD, _CORRECTED_SHARE = 1.0, 0.1
-#: what remains of a single run: by noise, and by radii and track as a share of its turn
+#: what remains of a single run: by noise, and as a share of its turn
 _SINGLE_RAD, _SINGLE_SHARE = 0.05, 0.06
 
 
@@ -281,7 +281,7 @@ def _coarse_step(values: FloatArray, resolution: float) -> float | None:
     return float(steps.min()) if np.abs(multiples - np.round(multiples)).max() < STEP_ERROR else None
 
 
-#: share of its standard uncertainty by which a measured distance scatters about the counts' at least
+#: least scatter of a measured distance about the counts', in standard uncertainties
 _COPIED: Final = 0.25
 
 

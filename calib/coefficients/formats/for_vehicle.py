@@ -1,8 +1,7 @@
 """Files for a vehicle's programs: C99 headers, the look-up table as CSV, ROS 2 controller parameters.
 
 An effect is a macro of its name in ``c_acts.j2``, a controller a name in `OF_DRIVE` and a branch of ``ros2.yaml.j2``.
-A YAML holds for one load, with constant diagonals of the covariance (`docs/exports.md`), beside the vehicle's own
-parameter file, which names the joints.
+A YAML holds for one load, with constant diagonals of the covariance, beside the vehicle's own parameter file.
 """
 
 import math
@@ -25,7 +24,7 @@ from calib.radius.law import JOINT, WheelLaw
 from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray
 
 INT32_MAX: Final = 2**31 - 1
-#: bound of intermediates of the integer form: half of int64_t, so that rounding cannot overflow it
+#: bound of intermediates of the integer form: rounding cannot overflow int64_t
 INT64_HALF: Final = 2**62
 MAX_SHIFT: Final = 40
 LAST_BITS_MN: Final = Fraction(1, 10**6)
@@ -272,7 +271,7 @@ def _name(pair: LoadPair) -> str:
     return f"controllers_{re.sub('[^0-9A-Za-z_.]', '_', text)}.yaml"
 
 
-#: path and turning after which the variances of the pose are stated: an aisle and the corner at its end
+#: path and turning after which the pose's variances are stated: an aisle and its corner
 PATH_M: Final = 10.0
 TURN_RAD: Final = math.pi / 2.0
 #: motion at which the twist's variances are stated, and the controllers' window: ten samples at 100 Hz

@@ -22,9 +22,9 @@ from calib.gap.plan import SEPARATION_SD, aliases_of, sizes_on
 from calib.gap.predict import Path, predict
 from calib.types import FloatArray
 
-#: off by the same share: radii and track, and what does the same without another measure of length
+#: off by the same share: radii and track, and what does the same
 SCALED: Final = (RadiusScale.id, TrackWidth.id, ReferenceScale.id)
-#: a radius or track is wrong so many times as often as one effect that looks like it
+#: a radius or track is wrong so many times as often as an effect like it
 CALIBRATION_ODDS: Final = 5.0
 #: above this the search weighed an effect with the calibration
 WEIGHED_PROBABILITY: Final = 0.01

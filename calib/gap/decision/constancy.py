@@ -362,8 +362,7 @@ def _at_a_place(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
 def _saturated(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
     """Return causes that act alike in every run of a route, where not half of the readings are left to check them.
 
-    A reading is a route's mean in a channel. Of thousands of sets some fit what places on each route do. A
-    recalibration by itself is what these runs are for.
+    A reading is a route's mean in a channel: of thousands of sets some fit what places on each route do.
     """
     seen, blocks = evidence.observations, evidence.left_out.weighting.system.blocks
     placed = {name for name in names if name in evidence.effects and evidence.effects[name].by_place}

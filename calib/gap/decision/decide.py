@@ -54,7 +54,7 @@ from calib.gap.inference import (
 from calib.gap.inference.marginal_likelihood import Nuisance
 from calib.gap.localise.locate import by_run
 
-#: families of unlike corrections: confounded members are no mere forms of one another
+#: families of unlike corrections
 OWN_CORRECTIONS: Final = frozenset({Family.SIMULATOR, Family.CALIBRATION})
 
 

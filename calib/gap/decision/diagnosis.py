@@ -63,7 +63,7 @@ class Evidence:
     held_out: HeldOut
     trials: tuple[Trial, ...]  #: on routes, speeds, loads, directions and sessions held out in turn
     where: GapLocation
-    #: runs driven, then runs to come, on which corrections of confounded effects are compared
+    #: runs driven, then to come, on which corrections of confounded effects are compared
     journeys: Observations | None = None
 
     @property
@@ -214,7 +214,7 @@ class Fix:
     """What the correction is worth."""
 
     recommended: bool = False
-    #: largest difference of confounded effects' corrections at the end; None if none are confounded
+    #: largest difference of confounded effects' corrections at the end
     agreement_m: float | None = None
     agreement_on: str = DRIVEN  #: ``runs driven`` or ``journeys``
     nothing_else: float = 1.0  #: probability of no further effect of the library
@@ -224,7 +224,7 @@ class Fix:
     parameters: Mapping[str, float] = field(default_factory=dict)  #: what to set in the user's simulator
     corrects: tuple[str, ...] | None = None  #: causes that it corrects, blunders apart; None: all named
     leaves: tuple[str, ...] = ()  #: why it leaves the other named causes
-    #: relative changes of the calibration beside its causes: what another zero point of one looks like
+    #: relative changes of the calibration beside its causes
     moves: Mapping[str, Quantity] = field(default_factory=dict)
     #: what it corrects by; None: the fit of all causes
     fitted: Fitted | None = field(default=None, metadata={"json": False})

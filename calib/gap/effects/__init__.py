@@ -155,7 +155,7 @@ class Effect(ABC):
     separates: ClassVar[str] = ""  #: the runs that tell it from what looks alike; a phrase
     #: what a plain recalibration would change in its place; empty for all but the calibration's own
     hides_in: ClassVar[str] = ""
-    #: for the calibration's own: the change of (left radius, right radius, track, front radius) per unit
+    #: for the calibration's own: the change of (left, right, track, front radius) per unit
     calibration_direction: ClassVar[tuple[float, ...] | None] = None
     #: further columns of the run table that it acts through: no candidates of their own beside it
     columns: ClassVar[tuple[str, ...]] = ()

@@ -155,7 +155,7 @@ FACTORS: Final = {"2": 2.0, "4": 4.0, "pi": np.pi, "1/2": 0.5, "1/4": 0.25, "1/p
 _SWAPPED: Final = "swapped wheels"
 #: where a front wheel drives the odometry
 _REVERSED: Final = "the steering angle has the other sign"
-#: a blunder leaves runs off by more than this share of their length (or of a radian) on average
+#: a blunder leaves runs off by more than this share of their length on average
 BLUNDER_MISFIT: Final = 0.08
 #: and a correction is believed where it leaves less than this share of that
 BLUNDER_RESIDUAL_SHARE: Final = 0.2
@@ -163,7 +163,7 @@ BLUNDER_RESIDUAL_SHARE: Final = 0.2
 BAD_RUN_MISFIT: Final = 0.2
 BAD_RUN_RATIO: Final = 3.0
 MOST_BAD_RUNS: Final = 0.25
-#: rise over run, and radians, within which a run is straight: no route turns by so little
+#: rise over run, and radians, within which a run is straight
 _STRAIGHT_ANGLE_RAD: Final = 0.2
 
 
@@ -266,8 +266,8 @@ def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by
     """Return how far each observation is off, as a share of its length and of its turns, 1 at most, shape (n_obs,).
 
     The length is the way driven, or from start to end where that is more; turns of less than a radian count as one.
-    With simulated motion, the change from the `nominal` path counts. `by_kind`: way and turns of the middle run of its
-    kind; `by_extent`: of a run that ends away from its start, that distance, and a radian.
+    Simulated motion: by the change from the `nominal` path. `by_kind`: way and turns of the middle run of its kind;
+    `by_extent`: of a run that ends away from its start, that distance, and a radian.
     """
     observations = path.s
     about = path if nominal is None or not np.isfinite(observations.simulated).any() else nominal

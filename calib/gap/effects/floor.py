@@ -77,9 +77,9 @@ CELL_M: Final = 2.0
 #: strips at most, and half as many cells
 MAX_STRIPS: Final = 40
 MIN_RUNS_IN_CELL: Final = 3
-#: cosines of headings further apart are both ways: more than a right angle, by more than rounding
+#: cosines of headings further apart are both ways
 BOTH_WAYS_COSINE: Final = 1.0 + 1e-6
-#: of cells, numbered (lane, column, row) in one integer: a floor is smaller either way
+#: of cells, numbered (lane, column, row) in one integer
 _GRID_WIDTH: Final = 2**16
 #: lane number of a strip across all lanes
 _STRIP_LANE: Final = -1
@@ -301,7 +301,7 @@ def _by_rolling(path: Path) -> list[Perturbation]:
 
 
 def _rolls_back(observations: Observations) -> BoolArray:
-    return np.asarray(np.maximum(observations.travel_left_m, observations.travel_right_m) < 0.0)
+    return np.maximum(observations.travel_left_m, observations.travel_right_m) < 0.0
 
 
 _Share = Callable[[FloatArray], FloatArray]

@@ -322,8 +322,7 @@ def with_effects(
 ) -> tuple[Observations, tuple[str, ...]]:
     """Return the campaign as a simulator with the effects would predict it, and notes on what could not be applied.
 
-    The prediction stands where an outside simulator's would. The
-    observations have the file's model already; `declared`: the campaign's ``[[effects]]`` tables.
+    The prediction stands where an outside simulator's would; `declared`: the campaign's ``[[effects]]`` tables.
     """
     notes: list[str] = []
     for section in sections:

@@ -15,7 +15,7 @@ from calib.types import ComplexArray, FloatArray
 
 #: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth
 MIN_TURN_RAD: Final = 0.1
-#: a turned reference keeps lengths: one that stretches them by more is another fault
+#: a turned reference keeps lengths
 MAX_STRETCH: Final = 0.2
 #: a turn and a place are unknown: with fewer runs they explain anything
 MIN_TURNED_RUNS: Final = 4

@@ -260,8 +260,7 @@ LEAST_BEND_PER_TRACK: Final = 0.1
 class BrakingSkid(Effect):
     """A slide at each stop, the same at every stop or growing with the square of the highest speed since the last one.
 
-    In curves the turn is a parameter of its own, the way along the curve that would turn the vehicle as much: wheels
-    that creep let it turn on, locked ones do not.
+    In curves the turn is a parameter of its own: wheels that creep let it turn on, locked ones do not.
     """
 
     id = "braking_skid"

@@ -15,11 +15,11 @@ from calib.gap.predict import Path, predict
 from calib.types import FloatArray
 
 SIMULATOR_PREFIX: Final = "simulator:"
-#: steps from which wheels reproduce a change; of a per cent the third is at rounding
+#: steps from which wheels reproduce a change
 _STEPS: Final = 3
 #: below this share of a change's squares the rest is linear enough
 _ROUNDING: Final = 1e-6
-#: a further step is taken where it promises, linear, to leave no more than this share
+#: a further step is taken that promises to leave no more than this share
 _PROMISED_SHARE: Final = 0.2
 #: wheels are followed in proportion to a quantity, or alike, where that leaves no more
 _FOLLOWS_SHARE: Final = 0.01
@@ -247,10 +247,8 @@ def without_forms(effect: Effect, labels: Sequence[str]) -> Effect:
 def with_zero(effect: Effect, zeros: Mapping[HeldCalibration, float], reach: Mapping[str, float]) -> Effect:
     """Return an effect whose zero point is free where it is counted from a mean and the calibration is held.
 
-    Else radii off on average would pass for a parameter.
-
-    `zeros`: what another zero point looks like, and how much of it, in typical sizes, moves the readings by one of
-    their standard deviations; `reach`: by how many of these each form of the effect moves them, by label.
+    Else radii off on average would pass for a parameter. `zeros`: what another zero point looks like, and how much of
+    it moves the readings by a standard deviation; `reach`: by how many of these each form moves them, by label.
     """
 
     def forms(observations: Observations) -> list[Form]:

@@ -54,9 +54,7 @@ def angle_error(observations: Observations, error_rad: FloatArray, exact_at: flo
     """Return what it does that the logged steering angle is too large by `error_rad`, shape (n_steps,), per unit.
 
     The heading by steering is then too large by ds cos(delta) error / L, and the distance by the front wheel too small
-    by ds sin(delta) error. The channels are what the rear wheels say less that, so they gain the excess.
-
-    `exact_at`: size at which sine and cosine are taken of the whole error; their slopes by default.
+    by ds sin(delta) error. `exact_at`: size at which sine and cosine are of the whole error; their slopes by default.
     """
 
     def acts(part: Observations, error: FloatArray) -> Perturbation:
@@ -162,7 +160,7 @@ TURN_ANGLE_RAD: Final = 0.02
 STILL_ANGLE_RAD: Final = 2e-3
 #: plays that are tried; the least stands for the side of the last move
 PLAYS_RAD: Final = (2e-3, 8e-3, 2e-2)
-#: way to either side for the rear wheels' turn: over less the counters are too coarse
+#: way to either side for the rear wheels' turn: for less the counters are coarse
 SMOOTHING_M: Final = 0.2
 
 
@@ -170,7 +168,7 @@ class SteeringBacklash(Effect):
     """Play lies between the wheel and the sensor of its angle.
 
     Where the sensor sits at the motor, the logged angle is ahead of the wheel by half the play on the side of the last
-    moves. Where it sits beyond the play, it follows what the wheel does, which the rear wheels tell, and lags.
+    moves. Where it sits beyond the play, it follows what the rear wheels tell, and lags.
     """
 
     id = "steering_backlash"

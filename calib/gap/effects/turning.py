@@ -208,10 +208,8 @@ def _most_lost_m(observations: Observations, parameter: Parameter, least_mps2: f
 class DriveSlip(Effect):
     """The front wheel counts a share s = F_x / C more than it travels; only the front channels see it.
 
-    A constant share is named as a front radius.
-
-    The driving force is mass times acceleration (when it speeds up, or also, reversed, when the front wheel brakes) and
-    rolling resistance, in proportion to the weight; the stiffness C is constant or in proportion to the front load.
+    A constant share is named as a front radius. The driving force is mass times acceleration (speeding up, or also
+    braking) and rolling resistance, by the weight; the stiffness C is constant or in proportion to the front load.
     """
 
     id = "drive_slip"
@@ -277,8 +275,7 @@ class DriveSlip(Effect):
 class Understeer(Effect):
     """Front tyres slip more than rear ones: curvature tan(delta) / (L (1 + K v^2)), so e_theta ~ -K v^2 theta.
 
-    A front wheel that counts rolls at the slip angle K v^2 sin(delta) cos(delta) to the way it goes: its turn is less
-    by K v^2 cos(delta)^2, its way more by K v^2 sin(delta)^2.
+    A front wheel that counts turns less by K v^2 cos(delta)^2, and goes further by K v^2 sin(delta)^2.
     """
 
     id = "understeer"

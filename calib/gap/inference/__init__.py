@@ -3,7 +3,7 @@
 from math import log
 from typing import Final
 
-#: chance that a true cause fails a test, or steps pass for one: as of every stated interval and set
+#: chance that a true cause fails a test: as of every stated interval and set
 FALSE_REJECTION: Final = 0.05
 CONFIDENCE: Final = 1.0 - FALSE_REJECTION
 #: more likely than not
@@ -31,7 +31,7 @@ FURTHER_PROBABILITY: Final = 0.8
 #: causes are ordered by these classes of probability, then by signal: finer differences are chance
 PROBABILITY_CLASSES: Final = (REPORTED_GAP_PROBABILITY, FIX_PROBABILITY, FURTHER_PROBABILITY)
 
-#: least closure of a believed explanation: more than two thirds of the error's square go
+#: least closure of a believed explanation: over two thirds of the error's square go
 ADEQUATE_CLOSURE: Final = 0.7
 #: closure below which an unexplained residual hides whether anything is explained
 HIDDEN_CLOSURE: Final = 1.0 - ADEQUATE_CLOSURE

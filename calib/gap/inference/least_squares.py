@@ -166,7 +166,7 @@ class WhitenedSystem:
         rows, resampled = weight[:, 0] > 0.0, copy(self)
 
         def made(columns: FloatArray) -> FloatArray:
-            return np.asarray(columns[rows] * weight[rows])
+            return columns[rows] * weight[rows]
 
         resampled.calibration = made(self.calibration)
         vars(resampled)["columns"] = lambda form: made(self.columns(form))
@@ -201,7 +201,7 @@ class Weighting:
     ) -> None:
         lack, nothing = system.kinds[kind] if kind >= 0 else LackOfFit(""), np.zeros((len(system.gap), 0))
         self.system, self.name, self.scale = system, lack.name, scale
-        #: shape (n, length, k): own columns of blocks of one length, to unit prior variance, beside unit noise
+        #: shape (n, length, k): own columns of blocks of one length, to unit prior variance
         self.own: list[FloatArray] = []
         for group, (_, places) in enumerate(system.blocks.alike):
             stacks = [stack for stack in lack.stacks if stack.group == group]
@@ -272,9 +272,7 @@ class Weighting:
 def controlled_step(system: LinearSystem, model: Sequence[int], weighting: Weighting) -> Fitted:
     """Return a hypothesis fitted in the linear model about a path, and re-simulated.
 
-    The calibration stays the model's own where it promises no more than noise may: see `recalibrate`.
-
-    `model`: numbers of forms; `weighting`: lack of fit, and what effects may deviate by.
+    `model`: numbers of forms; `weighting`: lack of fit, and what effects may deviate by; see `recalibrate`.
     """
     columns = system.columns_of(model)
     units = np.concatenate([CALIBRATION_SD, *(system.forms[k].typical for k in model)])

@@ -63,12 +63,11 @@ class Nuisance:
 def log_marginal(square: float | FloatArray, log_det: float | FloatArray, n_rows: int) -> FloatArray:
     """Return the log evidence of a Gaussian hypothesis whose noise level is known up to a common factor.
 
-    With the factor integrated out (Student's t, without its constant).
-
-    `square`: y^T C^-1 y, C in units of the noise level; `log_det`: log |C|, same shape; `n_rows`: length of y.
+    With the factor integrated out. `square`: y^T C^-1 y, C in units of the noise level; `log_det`: log |C|, same
+    shape; `n_rows`: length of y.
     """
     spread = -0.5 * (FLOOR_DOF + n_rows) * np.log1p(np.asarray(square) / FLOOR_DOF)
-    return np.asarray(spread - 0.5 * np.asarray(log_det))
+    return spread - 0.5 * np.asarray(log_det)
 
 
 def project(nuisance: Nuisance, columns: FloatArray) -> FloatArray:
@@ -86,7 +85,7 @@ def ridge_solve(gram: FloatArray, right: FloatArray, ridge: float) -> FloatArray
     size = np.sqrt(np.diagonal(gram, axis1=-2, axis2=-1) + ridge)
     scaled = _with_diagonal(gram / (size[..., :, None] * size[..., None, :]), 1.0 + 1e-10)
     if gram.ndim == 2:
-        return np.asarray(np.linalg.solve(scaled, right / size) / size)
+        return np.linalg.solve(scaled, right / size) / size
     pivots, rows = _eliminated(scaled, (right / size)[..., None])
     sizes = rows[:, -1] / pivots
     for j in range(len(rows) - 2, -1, -1):
@@ -368,7 +367,7 @@ class ScaleEvidence:
         variance, factor = self._whitened_at(log_scale)
         parts = (factor @ self._kernels[self._active] @ factor.transpose(0, 2, 1)).reshape(int(self._active.sum()), -1)
         parts *= variance[self._active][:, None]
-        return np.asarray(2 * parts @ parts.T + np.diag(1.0 / PRIOR_SPREADS[self._active] ** 2))
+        return 2 * parts @ parts.T + np.diag(1.0 / PRIOR_SPREADS[self._active] ** 2)
 
     def gain(self, columns: FloatArray) -> float:
         """Return the log evidence over all scales less that at the estimated ones.

@@ -25,7 +25,7 @@ _MAX_PASSES: Final = 7
 _CONVERGED_STEP: Final = 0.2
 #: most probable causes that are fitted alone, to begin with the best
 _SINGLE_STARTS: Final = 3
-#: models weighed together with the calibration: at most, within this log-evidence window of the best
+#: models weighed with the calibration: at most, within this window of the best
 _MAX_LIKELY_MODELS: Final = 12
 _LIKELY_WINDOW: Final = 7.0
 #: sets taken as current, one after the other
@@ -271,7 +271,7 @@ def _near(moved: _Settled, left: Fitted) -> _Settled | None:
     return moved if fitted.chi_square <= most else None
 
 
-#: a set fitted from another one's fit, None where that runs away; models weighed; a set with these
+#: a set fitted from another's fit, None where that runs away; models weighed; a set with these
 _Settle = Callable[[LocalSearch, Fitted], _Settled | None]
 _Weigh = Callable[[LocalSearch], _WeighedModels]
 _Found = tuple[LocalSearch, Fitted, _WeighedModels]

@@ -1,8 +1,7 @@
 """The noise of each run, its covariance over the channels and what supports it; and lack of fit.
 
-Lack of fit is what no effect of the library explains, random effects beside every hypothesis: in
-y = C beta + sum_k S_k theta_k + R + noise, R is an offset that each condition (or cell) has of its own, or a trend on
-the surroundings; its scale is averaged over a grid with zero.
+Lack of fit is what no effect of the library explains: in y = C beta + sum_k S_k theta_k + R + noise, R is an offset
+that each condition (or cell) has of its own, or a trend on the surroundings; its scale is averaged over a grid.
 """
 
 from collections.abc import Iterator, Sequence
@@ -127,7 +126,7 @@ class Noise:
     @property
     def floor(self) -> FloatArray:
         """Standard deviation of each channel in each unit, shape (n_units, 6)."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
 
 def estimate_noise(path: Path, gap: FloatArray) -> Noise:
@@ -353,7 +352,7 @@ def lack_of_fit_components(path: Path, noise: Noise, blocks: Blocks) -> list[Lac
     s, unit = path.s, blocks.unit
 
     def whitened(columns: FloatArray) -> FloatArray:
-        return np.asarray((noise.whitener @ np.where(s.usable[:, :, None], columns, 0.0))[s.usable][blocks.order])
+        return (noise.whitener @ np.where(s.usable[:, :, None], columns, 0.0))[s.usable][blocks.order]
 
     calibration = whitened(path.calibration[:, :, :3])
     norm = np.sqrt((calibration**2).sum(axis=0) / max(len(s), 1))

@@ -133,7 +133,7 @@ def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
 
 def whitener_of(covariance: FloatArray) -> FloatArray:
     """Return the inverse Cholesky factor of each unit's covariance, shape (n_units, 6, 6)."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+    return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,7 +25,7 @@ ATTRIBUTED_SHIFT_SHARE: Final = 0.5
 MIN_EFFECT_SD: Final = 3.0
 #: subsets of the relative calibration: both radii (0), their ratio (1), the track (2)
 SUBSETS: Final = tuple(subset for count in range(4) for subset in combinations(range(3), count))
-#: one wheel's radius, left (3) or right (4), alone or beside the track: scale and ratio are then off
+#: one wheel's radius, left (3) or right (4), alone or beside the track
 _ONE_WHEEL: Final = ((3,), (4,), (2, 3), (2, 4))
 #: half a 95 % interval, in standard deviations
 _COVERAGE_SD: Final = 1.96
@@ -127,7 +127,7 @@ def weigh_subsets(
 ) -> SubsetWeights:
     """Weigh the subsets of the calibration's parameters beside some forms.
 
-    An effect may be centred elsewhere: a shift up to `ATTRIBUTED_SHIFT_SHARE` times its own size counts as part of it.
+    A shift up to `ATTRIBUTED_SHIFT_SHARE` times an effect's size counts as its own: it may be centred elsewhere.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def weigh_subsets(
     shifts
         Calibration parameters that another zero point of each effect would look like.
     gains : shape (2, n_scales)
-        Of log weights beside no effect where the noise's scales are open: as believed, and of any other calibration.
+        Of log weights beside no effect where the noise's scales are open: as believed, and recalibrated.
     """
     directions = (system.calibration / CALIBRATION_SD) @ DIRECTIONS.T
     norm = np.maximum(np.sqrt((directions**2).sum(axis=0)), 1e-12)

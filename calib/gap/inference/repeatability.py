@@ -17,7 +17,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 PRIOR_SPREADS: Final = np.array([spread for _, _, spread in COMPONENTS])
 SCALE_BOUNDS: Final = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(PRIOR_MEDIANS), PRIOR_SPREADS, strict=True)]
-#: of normal noise beyond which units weigh less: within it squares exceed their floor by a seventh
+#: of normal noise beyond which units weigh less
 OUTLIER_PROBABILITY: Final = 0.05
 #: most units that scales are found from: known to a few per cent
 MAX_REPLICATES: Final = 480
@@ -212,7 +212,7 @@ def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatA
         if np.abs(fresh - weight).max() < 0.05:
             break
         weight = fresh
-    return np.asarray(best)
+    return best
 
 
 def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[FloatArray, FloatArray]:

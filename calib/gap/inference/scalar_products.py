@@ -224,7 +224,7 @@ class Reduced:
 
 def above_rounding(gram: FloatArray) -> FloatArray:
     """Return products (..., k, k) with slightly larger squares: no residual falls below zero."""
-    return np.asarray(gram * (1.0 + _ROUNDING * np.eye(gram.shape[-1])))
+    return gram * (1.0 + _ROUNDING * np.eye(gram.shape[-1]))
 
 
 def scalar_products(
@@ -305,4 +305,4 @@ def _log_priors(kinds: Sequence[LackOfFit], scales: Sequence[float]) -> FloatArr
         for scale in scales
     ]
     with np.errstate(divide="ignore"):
-        return np.asarray(np.log([1.0, *np.array(odds) / len(scales)]))
+        return np.log([1.0, *np.array(odds) / len(scales)])

@@ -239,9 +239,9 @@ def covariate_test(
 ) -> CovariateResult | None:
     """Test a covariate in every channel by an F test of the gap over its noise level; None if none allows it.
 
-    Returned is the channel of the smallest p, times the number of channels.
-    `scaled` (n_units, n_channels): gap over noise level, NaN where a unit lacks the channel; `weights` (n_draws,
-    n_units): how often the bootstrap draws each; `most_dof`: of the noise level; see `covariate_values`.
+    Of the smallest p, times the number of channels. `scaled` (n_units, n_channels): gap over noise level, NaN where a
+    unit lacks the channel; `weights` (n_draws, n_units): how often the bootstrap draws each; `most_dof`: of the noise
+    level; see `covariate_values`.
     """
     dependences = [(channel, each) for channel in Channel if (each := _Dependence.of(values, scaled[:, channel]))]
     if not dependences:

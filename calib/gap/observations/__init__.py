@@ -232,7 +232,7 @@ class Observations:
 
     def total(self, steps: ArrayLike) -> FloatArray:
         """Sum a step array (n_steps,) over each observation, shape (n_obs,)."""
-        return np.asarray(np.add.reduceat(floats(steps), self.starts[:-1]))
+        return np.add.reduceat(floats(steps), self.starts[:-1])
 
     def cumulative(self, steps: FloatArray) -> FloatArray:
         """Return the running sum of steps (n_steps,) in each observation, the step included, (n_steps,)."""
@@ -272,7 +272,7 @@ class Observations:
         return np.asarray(self.radii_m(self.wheel_loads_N)[1])
 
     def _wide(self, radii_m: FloatArray) -> FloatArray:
-        return np.asarray(radii_m[self.unit] if self.carried_N is None else radii_m)
+        return radii_m[self.unit] if self.carried_N is None else radii_m
 
     @_KeptIfFew
     def travel_left_m(self) -> FloatArray:
@@ -294,7 +294,7 @@ class Observations:
         """Way to the left of each step by the model, shape (n_steps,); None of wheels that only roll ahead."""
         if self.aside_rad is None:
             return None
-        return np.asarray(self.aside_rad * self._wide(self.radii_m(self.loads_N).mean(axis=0)))
+        return self.aside_rad * self._wide(self.radii_m(self.loads_N).mean(axis=0))
 
     @_KeptIfFew
     def turn_rad(self) -> FloatArray:
@@ -335,7 +335,7 @@ class Observations:
             before, behind = np.roll(rate, 1), np.roll(rate, -1)
             before[self.starts[:-1]], behind[self.starts[1:] - 1] = rate[self.starts[:-1]], rate[self.starts[1:] - 1]
             faster = np.nan_to_num(0.5 * (behind - before) / rate, posinf=0.0, neginf=0.0)
-        return np.asarray(0.5 * (begin + end) + faster * (end - begin) / 6.0)
+        return 0.5 * (begin + end) + faster * (end - begin) / 6.0
 
     @_KeptIfFew
     def speed_mps(self) -> FloatArray:

@@ -32,7 +32,7 @@ def filled_loads(campaign: Campaign) -> tuple[FloatArray, FloatArray, bool]:
 FILLED: Final = ("temperature_C", "minutes_under_load")
 #: values beyond these are absurd
 PLAUSIBLE_VALUES: Final = {"temperature_C": (-50.0, 60.0)}
-#: and further than so many interquartile ranges from the median: 30 standard deviations if normal
+#: and further than so many interquartile ranges from the median
 MOST_SPREADS: Final = 20.0
 MOST_ODD: Final = 0.2
 #: load over the empty vehicle's that is none: load cells differ by a per cent

@@ -35,7 +35,7 @@ class WheelTravel:
 
     def total(self, steps: FloatArray) -> FloatArray:
         """Sum a step quantity (n_steps,) over each observation, shape (n_obs,)."""
-        return np.asarray(np.add.reduceat(steps, self.starts[:-1]))
+        return np.add.reduceat(steps, self.starts[:-1])
 
     @property
     def path_m(self) -> FloatArray:
@@ -50,7 +50,7 @@ class WheelTravel:
     @property
     def rolled_m(self) -> FloatArray:
         """Mean unsigned travel of both wheels in each step, shape (n_steps,)."""
-        return np.asarray(0.5 * (np.abs(self.left_m) + np.abs(self.right_m)))
+        return 0.5 * (np.abs(self.left_m) + np.abs(self.right_m))
 
 
 def levels(values: FloatArray, width: float) -> IntArray:
@@ -156,7 +156,7 @@ def replicates(
     Parameters
     ----------
     driven, campaign
-        Whose vehicle scales the loads that are told apart, and whose further columns tell cells apart.
+        Its vehicle scales the loads, its further columns tell cells apart.
     heading_rad : shape (n_obs,)
         Measured turn, NaN where not measured.
     numbers : shape (n_obs,)
@@ -206,7 +206,7 @@ def weave_of_log(driven: WheelTravel) -> FloatArray:
 
     def within(steps: FloatArray) -> FloatArray:
         running = np.cumsum(steps)
-        return np.asarray(running - 0.5 * steps - np.concatenate(([0.0], running))[starts[:-1]][unit])
+        return running - 0.5 * steps - np.concatenate(([0.0], running))[starts[:-1]][unit]
 
     total, weight = driven.total, np.abs(driven.path_m)
     along, heading = within(weight), within(driven.turn_rad)

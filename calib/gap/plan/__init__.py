@@ -136,12 +136,12 @@ class Signatures:
     def of_form(self, form: Form) -> FloatArray:
         """Return whitened signatures of an `offered` form in typical sizes, (n_rows, n_parameters)."""
         first, largest = self._places[id(form)]
-        return np.asarray(self.columns[:, first : first + len(largest)] / largest)
+        return self.columns[:, first : first + len(largest)] / largest
 
     def gram(self, units: BoolArray) -> FloatArray:
         """Return scalar products of all columns over observations (n_units,)."""
         kept = self.columns[units[self.unit]]
-        return np.asarray(kept.T @ kept)
+        return kept.T @ kept
 
     def distances(self, gram: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return each effect's signal (..., n_truths) and distance from each other (..., n_effects).

@@ -88,8 +88,8 @@ def next_runs(
 ) -> list[PlannedRun]:
     """Return the runs to drive next, best first, with `why`, `distance` and `count`; empty where none helps.
 
-    Driven in one session, those at another temperature in one of their own, `REPEATS` times on a route not repeated so
-    far. Each step takes the run that parts the two nearest confounded effects most, else most effects of the library.
+    Each step takes the run that parts the two nearest confounded effects most, else most effects of the library; those
+    at another temperature are a session of their own.
 
     `noise`: of `campaign`, with the scales of the next runs; `effects`: the library; `ties`: groups of confounded
     effects; `apart_on`: how far those are on other runs; `candidates`: see `default_candidates`; `most`: runs to name.

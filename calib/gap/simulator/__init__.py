@@ -181,7 +181,7 @@ def _number(text: str, name: str, run_id: str) -> float:
     return value
 
 
-#: what is written wrongly -> (x, y, heading), each from which and times what, and what to write
+#: what is written wrongly -> (x, y, heading), each from which and times what, and the cure
 _MILLI, _DEGREE = 1e-3, math.pi / 180.0
 _BLUNDERS: Final = {
     "millimetres; write metres": ((0, 1, 2), (_MILLI, _MILLI, 1.0)),
