@@ -19,8 +19,8 @@ CHECKSUM_KEY: Final = "checksum"
 def to_json(value: Any, *, ascii_only: bool = False) -> str:
     """Return `value` as indented JSON with a final newline.
 
-    `value`: plain values, numpy scalars included; `ascii_only`: escape all other characters, as is always done where a
-    text has no UTF-8 form (an unpaired surrogate). Raises ValueError where a number is NaN or infinite.
+    `value`: plain values, numpy scalars included; `ascii_only`: escape all other characters, as where a text has no
+    UTF-8 form. Raises ValueError where a number is NaN or infinite.
     """
     import json
 

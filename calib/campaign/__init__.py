@@ -233,7 +233,7 @@ def write_campaign(
     """Write ``campaign.toml``, ``runs.csv`` and ``logs/<run_id>.csv``, all of them or none, of one generation.
 
     Raises BadInputError where a campaign is there and `force` is False, or the folder cannot be written. Other files
-    stay. `log_decimals`: as ``{"range_m": 4}``; other columns read back exactly; `beside`: further files by name.
+    stay. `log_decimals`: as ``{"range_m": 4}``; other columns read back exactly; `beside`: see `write_folder`.
     """
 
     def fill(scratch: Path) -> None:

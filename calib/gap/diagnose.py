@@ -75,7 +75,7 @@ def diagnose_in_full(
 ) -> Diagnosis:
     """Diagnose the gap of a campaign by the ends of its runs, and by windows of its recordings where these tell more.
 
-    See `calib.api.results.diagnose`; of `model` the effects are `applied` ones, and `model_name` is its file, or what
+    For parameters see `calib.api.results.diagnose`; `applied`: effects of `model`; `model_name`: its file, or what
     simulated. `plan`: recommend runs. `observations` stand in place of the campaign's, and hold `model` and `applied`;
     `candidates` in place of the library.
     """

@@ -40,7 +40,7 @@ ALONG_ONE: Final = 0.9
 HEADING_SCALE: Final = 0.005
 #: sound clocks differ by 1e-4
 CLOCK_RATE: Final = 5e-4
-#: recordings, and part of the longest that they differ by, from which their delays tell of a clock
+#: recordings, and part of the longest that they differ by, from which delays tell of a clock
 FEWEST_OF_A_CLOCK: Final = 4
 OF_TWO_LENGTHS: Final = 0.2
 #: of the wheels' way

@@ -111,7 +111,7 @@ class Form:
     #: whether `perturbations` takes everything per step from its path, maybe of some observations; else arrays are held
     #: for all
     by_parts: bool = False
-    #: effects without one of which it does nothing, by id; empty where it acts by itself
+    #: effects without one of which it does nothing, by id
     acts_through: tuple[str, ...] = ()
     end: Centre | None = None  #: where a file writes it zero, for what counts on through the campaign
 
@@ -137,7 +137,7 @@ Offer = tuple[str, tuple[Parameter, ...], Perturbations]
 class Effect(ABC):
     """A candidate cause. A new effect is a subclass in a file of its own and one line in the registry."""
 
-    #: the library, a column of the run table, ``campaign.toml``, or an installed package
+    #: the library, a column, ``campaign.toml``, or an installed package
     origin: ClassVar[str] = "the library"
     id: ClassVar[str]  #: name in verdicts
     title: ClassVar[str]  #: a few words that fit into "the gap is explained by ..."

@@ -41,8 +41,7 @@ def steer_rad(observations: Observations) -> FloatArray:
 def excess(observations: Observations, ahead_m: FloatArray, turn_rad: FloatArray) -> Perturbation:
     """Return what it does that the front wheel says more than is true, by these excesses of way and turn in each step.
 
-    Where rear wheels drive the odometry, the front channels grow by the excess. Where the front wheel alone drives it,
-    the vehicle moves less than it says.
+    Where rear wheels drive the odometry, the front channels grow by it; else the vehicle moves less.
     """
     if observations.by_front:
         return Perturbation(along_m=-ahead_m, heading_rad=-turn_rad)

@@ -131,7 +131,7 @@ def _within(row: IntArray) -> IntArray:
 class WideSums:
     """Scalar products of a wide form's columns, made where asked for."""
 
-    #: number of a scale -> products with each other (w, w), and with the rest (w, p + 1)
+    #: number of a scale -> products (w, w), and with the rest (w, p + 1)
     make: Callable[[int], tuple[FloatArray, FloatArray]]
     numbers: IntArray  #: shape (n_scales,): each scale's number for `make`
     _known: dict[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)

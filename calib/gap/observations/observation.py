@@ -58,7 +58,7 @@ class Observation:
     load_left_N: FloatArray | None = None
     load_right_N: FloatArray | None = None
     from_log: bool = True  #: false where made up from totals
-    #: measured, simulated: shape (4,): distance, x, y and heading at the end in the start frame, else NaN
+    #: measured, simulated: shape (4,): distance, x, y and heading at the end, in the start frame
     measured: FloatArray = field(default_factory=lambda: _nan(4))
     simulated: FloatArray = field(default_factory=lambda: _nan(4))
     #: sigma_xy_m, sigma_theta_rad: standard uncertainty of measured position and heading; NaN: the settings'
