@@ -105,7 +105,7 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
 
 
 def _rename(temporary: Path, path: Path, *, force: bool) -> None:
-    """Rename a complete file to its target; without `force` another writer's is kept."""
+    """Rename a file to its target; without `force` another writer's is kept."""
     if not force:
         try:
             os.link(temporary, path)

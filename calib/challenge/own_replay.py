@@ -250,7 +250,7 @@ def _driven(replay: Replay, world: World) -> tuple[Moment, FloatArray, FloatArra
 
 
 def _seen(replay: Replay, poses: FloatArray, end: Moment, late_s: FloatArray) -> FloatArray:
-    """Return each unit's pose at `late_s` before its end, shape (3, n_units)."""
+    """Return each unit's pose `late_s` before its end, (3, n_units)."""
     from scipy.interpolate import PchipInterpolator
 
     way_m, theta = late_s * end.v_mps, end.theta_rad

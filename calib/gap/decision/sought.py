@@ -319,7 +319,7 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
 
 
 def _go_on(others: Fitted, noise: Noise, unit: IntArray, lone: Sequence[int]) -> bool:
-    """Return whether the first or last recording is off by radii and track that the others have more and more of."""
+    """Return whether the first or last recording is off by what the others have more and more of."""
     seen, last = others.path.s, int(unit.max())
     row = unit[np.nonzero(seen.usable)[0]]
     columns = whitened_rows(others.path, noise, others.path.calibration) * CALIBRATION_SD

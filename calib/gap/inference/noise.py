@@ -136,13 +136,15 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
     """
     shapes = components.NoiseComponents.about(path)
     first, prior = None, np.log(components.PRIOR_MEDIANS)
+    tried = set()
     for basis, labels, trends, enough in _noise_supports(path):
         grouped = repeatability.Replicates.by(labels)
         if len(grouped.units) == 0:
             continue
         whole = repeatability.ScaleLikelihood(path, gap, shapes, grouped, trends)
-        if whole.dof < enough:
+        if whole.dof < enough or (same := (basis, labels.tobytes(), whole.k)) in tried:
             continue
+        tried.add(same)
         thinned = repeatability.thinned_replicates(grouped)
         part = whole if thinned is grouped else repeatability.ScaleLikelihood(path, gap, shapes, thinned, trends)
         log_scale = repeatability.most_likely_scales(whole if part.dof < MIN_DOF else part, prior)

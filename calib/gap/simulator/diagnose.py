@@ -66,7 +66,7 @@ class SimulatorDiagnosis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rival:
-    """Causes that explain the gap by themselves: parameters that were run, or the first verdict's."""
+    """Causes that explain the gap by themselves."""
 
     names: frozenset[str]
     score: float  #: squares left, and log n a parameter (Schwarz, Annals of Statistics 6, 1978)
