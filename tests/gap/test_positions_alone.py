@@ -15,7 +15,11 @@ from calib.campaign.settings import Reference
 from calib.gap.apply import applied_model
 from calib.gap.decision.diagnosis import Diagnosis
 from calib.gap.diagnose import diagnose_in_full
+from calib.gap.effects.library import effect_class
 from calib.gap.effects.mounting import DisplacedSensor, LateReference
+from calib.gap.inference.fit import signature_columns
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import measured_gap, predict
 from tests.gap import free_drives
 
 #: of the sensor's place in `free_drives`, to the left over ahead
@@ -61,6 +65,36 @@ def test_place_and_delay_are_found_with_what_is_beside_them(
         assert held(diagnosis, "reference_latency", latency=delay)
     if scale := sizes.get("radius_scale"):
         assert held(diagnosis, "radius_scale", relative=scale)
+
+
+def off_axle(campaign: Campaign, lever: float) -> Campaign:
+    """Return the campaign with the sensor stated where it is."""
+    return replace(campaign, reference=replace(campaign.reference, sensor_x_m=lever, sensor_y_m=ASIDE * lever))
+
+
+@pytest.mark.parametrize(("drive", "slip"), [("tricycle", 0.04), ("differential", 0.15)])
+def test_an_axle_that_slips_aside_bends_the_course_that_stands_for_its_heading(
+    tmp_path: Path, drive: str, slip: float
+) -> None:
+    """Taken for a motion aside alone it was a delay of the steering or another place of the sensor."""
+    campaign = off_axle(driven(tmp_path, {"side_slip": slip, "reference_lever_arm": 0.3}, 9, drive), 0.3)
+    diagnosis = diagnose_in_full(campaign, plan=False)
+    assert [cause.effect for cause in diagnosis.causes] == ["side_slip"] and diagnosis.recommended
+    assert held(diagnosis, "side_slip", speed_per_acceleration=slip)
+
+
+def test_a_sensor_off_the_axle_acts_as_the_same_positions_read_from_another_place(tmp_path: Path) -> None:
+    campaign = off_axle(driven(tmp_path, {"reference_lever_arm": 0.3}, 10, "tricycle"), 0.3)
+    step_m = 1e-3
+    moved = replace(campaign, reference=replace(campaign.reference, sensor_x_m=0.3 + step_m))
+    seen, other = observations_of(campaign), observations_of(moved)
+    path = predict(seen)
+    (form,) = effect_class("reference_lever_arm")().forms(seen)
+    by_step = signature_columns(path, [form])[0][:, :, 0] / form.typical[0] * step_m
+    change = measured_gap(path, path) - measured_gap(replace(path, s=other), path)
+    size = np.sqrt(np.mean(np.square(change), axis=0))
+    # of the second order in a step of a millimetre beside ways of metres
+    assert np.abs(by_step - change).max(axis=0)[1:4] == pytest.approx(0.0, abs=0.02 * size[1:4].max())
 
 
 @pytest.mark.parametrize("sizes", [{"reference_lever_arm": 0.3, "radius_scale": -0.012}, {"reference_latency": 0.25}])

@@ -114,7 +114,7 @@ class ReferenceLeverArm(Effect):
             return []
 
         def perturbations(path: Path) -> list[Perturbation]:
-            return [_off_course(path, path.s.course_error[:, :, n], place) for n, place in enumerate((1.0, 1j))]
+            return [off_course(path, path.s.course_error[:, :, n], place) for n, place in enumerate((1.0, 1j))]
 
         scale = reach(observations)
         # a steered vehicle's sensor can sit anywhere between the axles
@@ -132,9 +132,10 @@ class ReferenceLeverArm(Effect):
         return np.sqrt(2.0) / max(shown, 1e-3), "after a quarter turn; drive a route that ends at 90 degrees or more"
 
 
-def _off_course(path: Path, error: FloatArray, beside_m: complex = 0.0) -> Perturbation:
+def off_course(path: Path, error: FloatArray, beside_m: complex = 0.0) -> Perturbation:
+    """Return what it does that headings from the course are off by `error`, shape (n_obs, 2), at start and end."""
     c, sn = path.frame_turned
-    moved = np.asarray(1j * complex(*path.s.sensor_m) * ((c + 1j * sn) * error[:, 1] - error[:, 0]), np.complex128)
+    moved = np.asarray(-1j * complex(*path.s.sensor_m) * ((c + 1j * sn) * error[:, 1] - error[:, 0]), np.complex128)
     ways = zip(path.to_end_frame(moved.real, moved.imag), _read_at(path, beside_m), strict=True)
     along, lateral = (turned + read for turned, read in ways)
     reading = Perturbation.on_readings(path.s, along=along, lateral=lateral, heading=error[:, 1] - error[:, 0])
@@ -272,7 +273,7 @@ class ReferenceLatency(Effect):
             since[self.OF_CLOCK] = np.stack([begin_s, end_s], axis=1)
 
         def push(path: Path, label: str) -> list[Perturbation]:
-            off = _off_course(path, path.s.course_error[:, :, 2] * since.get(label, 1.0))
+            off = off_course(path, path.s.course_error[:, :, 2] * since.get(label, 1.0))
             return [total_perturbation(path.s, [late[label], off])]
 
         return self.offer([(label, (parameters[label],), partial(push, label=label)) for label in late])

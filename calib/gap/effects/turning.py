@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.gap import Perturbation
+from calib.gap import Perturbation, total_perturbation
 from calib.gap.effects import (
     Centre,
     Effect,
@@ -23,6 +23,7 @@ from calib.gap.effects import (
     varies,
 )
 from calib.gap.effects.load import slope_parameters
+from calib.gap.effects.reference import off_course
 from calib.gap.effects.steering import excess, front_travel_m, front_turn_rad, has_front, rate_per_s
 from calib.gap.observations import POSE, Observations
 from calib.gap.predict import Path
@@ -112,7 +113,8 @@ class SideSlip(Effect):
         def slips(path: Path, power: int) -> list[Perturbation]:
             # v^2 kappa ds is v |v| times the turn: it changes sides when the vehicle rolls backward
             turned_rad = np.sign(path.s.path_m) * path.s.turn_rad
-            return [Perturbation(lateral_m=-(np.abs(path.s.speed_mps) ** power) * turned_rad)]
+            aside = Perturbation(lateral_m=-(np.abs(path.s.speed_mps) ** power) * turned_rad)
+            return [total_perturbation(path.s, [aside, off_course(path, path.s.course_error[:, :, 5 - power])])]
 
         angle = Parameter("slip_per_acceleration", "s2/m", typical=2e-3, largest=5e-2, sign=1)
         offers = [

@@ -126,7 +126,7 @@ class Observations:
     window: IntArray
     #: shape (n_obs, 3): start in the frame common to all, else NaN
     start_pose: FloatArray
-    #: shape (n_obs, 2, 3): error of headings from the course at start and end, rad a metre of the sensor's place (x, y)
+    #: shape (n_obs, 2, 5): error of headings from the course at start and end, rad a metre of the sensor's place (x, y)
     #: and a second of delay; zero where measured
     course_error: FloatArray
     common_frame: bool  #: whether places on the floor mean the same in all observations

@@ -68,9 +68,9 @@ class Observation:
     sigma_start_rad: float = 0.0
     #: shape (3,): start in the frame common to all runs, else NaN
     start_pose: FloatArray = field(default_factory=lambda: _nan(3))
-    #: shape (2, 3): error of headings from the course at start and end, a metre of the sensor's place (x, y) and a
-    #: second of delay, beyond that of a measured heading
-    course_error: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
+    #: shape (2, 5): error of headings from the course at start and end, a metre of the sensor's place (x, y), a second
+    #: of delay, and of `slips_m`, beyond that of a measured heading
+    course_error: FloatArray = field(default_factory=lambda: np.zeros((2, 5)))
     by_gyro: bool = False
     reference: "ReferencePoses | None" = None  #: of a run, by its log
 
@@ -159,8 +159,8 @@ class ReferencePoses:
     from_first: bool  #: whether the run's frame is that of its first pose, not of the poses
 
     def pose(self, number: int) -> tuple[FloatArray, float, FloatArray]:
-        """Return a pose; of a heading from the course its standard uncertainty (else NaN) and `course_error`, (3,)."""
-        return self.poses[number], float("nan"), np.zeros(3)
+        """Return a pose; of a heading from the course its standard uncertainty (else NaN) and `course_error`, (5,)."""
+        return self.poses[number], float("nan"), np.zeros(5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,6 +173,7 @@ class CourseOverGround(ReferencePoses):
     way_m: float  #: of a course
     velocity_mps: ComplexArray  #: shape (n_poses,): of the vehicle by its wheels, x + i y
     turn_rate_rad_per_s: FloatArray  #: shape (n_poses,): by the wheels
+    slips_m: ComplexArray  #: shape (n_poses, 2): way aside by slip angles of -v^2 and -v times the curvature
 
     def pose(self, number: int) -> tuple[FloatArray, float, FloatArray]:
         """Return the vehicle's pose at a sample, its heading's standard uncertainty and `course_error`; NaN at rest.
@@ -192,13 +193,14 @@ class CourseOverGround(ReferencePoses):
         wheels = self._sensor_by_wheels(last) - self._sensor_by_wheels(first)
         chord = float(np.hypot(*moved))
         if chord < 0.3 * self.way_m or np.hypot(*wheels) < 0.3 * self.way_m:
-            return _nan(3), float("nan"), np.zeros(3)
+            return _nan(3), float("nan"), np.zeros(5)
         course = np.arctan2(moved[1], moved[0]) - np.arctan2(wheels[1], wheels[0])
         heading = self.by_wheels[number, 2] + (course + np.pi) % (2 * np.pi) - np.pi
         place = self.poses[number, :2] - _turned(self.place_m, heading)
         by_place = complex(np.diff(np.exp(1j * self.by_wheels[[first, last], 2]))[0]) / complex(*wheels)
         rate = float((complex(self.velocity_mps[last] - self.velocity_mps[first]) / complex(*wheels)).imag)
-        error = np.array([by_place.imag, by_place.real, self.turn_rate_rad_per_s[number] - rate])
+        by_slip = ((self.slips_m[last] - self.slips_m[first]) / complex(*wheels)).imag
+        error = np.array([by_place.imag, by_place.real, self.turn_rate_rad_per_s[number] - rate, *by_slip])
         return np.array([*place, heading]), float(np.sqrt(2.0)) * self.sigma_xy_m / chord, error
 
     def _sensor_by_wheels(self, number: int) -> FloatArray:
@@ -237,6 +239,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         way = max(1.5 * model.track_m, COURSE_SIGMAS * reference.sigma_xy_m)
         by_wheels = _by_wheels(left, right, model.track_m)[valid]
         lasts_s = np.gradient(log["t_s"][rows]) if "t_s" in log else np.full(len(rows), np.inf)
+        velocity_mps = np.gradient(by_wheels[:, 0] + 1j * by_wheels[:, 1]) / lasts_s
         # in the frame of its start a sensor on the axle needs no heading
         on_axle = (reference.sensor_x_m, reference.sensor_y_m) == (0.0, 0.0)
         return CourseOverGround(
@@ -246,8 +249,9 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
             in_map=setup.in_map,
             from_first=not (reference.frame == "start" and on_axle),
             by_wheels=by_wheels,
-            velocity_mps=np.gradient(by_wheels[:, 0] + 1j * by_wheels[:, 1]) / lasts_s,
+            velocity_mps=velocity_mps,
             turn_rate_rad_per_s=np.gradient(by_wheels[:, 2]) / lasts_s,
+            slips_m=_slips_m(velocity_mps, by_wheels[:, 2]),
             place_m=np.array([reference.sensor_x_m, reference.sensor_y_m]),
             sigma_xy_m=reference.sigma_xy_m,
             way_m=min(way, COURSE_SHARE * float(travelled[-1])),
@@ -272,6 +276,12 @@ def _begins_at_place(of_sensor: FloatArray, reference: Reference) -> bool:
     if begins := off < NEAR_PLACE * lever:
         of_sensor[:, 2] -= turns
     return begins
+
+
+def _slips_m(velocity_mps: ComplexArray, heading_rad: FloatArray) -> ComplexArray:
+    speed = (velocity_mps * np.exp(-1j * heading_rad)).real
+    aside = np.gradient(np.exp(1j * heading_rad)) * np.sign(speed)
+    return -np.cumsum(np.stack([aside * speed**2, aside * np.abs(speed)], axis=1), axis=0)
 
 
 def _by_wheels(left_m: FloatArray, right_m: FloatArray, track_m: float) -> FloatArray:
