@@ -119,6 +119,9 @@ class Recording:
         known = np.isfinite(heading)
         if (np.abs(heading[known]) <= np.pi + 1e-6).all() and (np.abs(turn_rad[known]) > 1.5 * np.pi).any():
             heading += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
+        elif (clear := known & (np.abs(turn_rad) > TURNS_CLEARLY_RAD)).any():
+            # an effective track may be twice the nominal one
+            turn_rad = turn_rad * np.median(heading[clear] / turn_rad[clear])
         turns = np.nan_to_num((turn_rad - heading) / (2.0 * np.pi))
         off = (np.rint(turns) != 0.0) & (np.abs(turns - np.rint(turns)) < WHOLE_TURN)
         off &= np.abs(turn_rad) < MOST_TURNS_RAD

@@ -276,9 +276,9 @@ SIDE_SLIP: Final = "side_slip_s2_per_m"
 #: rubber on a smooth floor gives way by some hundredths of a radian at 1 m/s^2: 0.01 s^2/m
 UNDERSTEER_STD: Final = 0.05
 SIDE_SLIP_STD: Final = 0.02
-#: turns below this lateral acceleration slip by a few milliradians: nothing to estimate
-SLIPS_MPS2: Final = 0.5
-#: quantile of the lateral acceleration that has to reach it: not single samples
+#: turns below this lateral acceleration slip by four milliradians: nothing to estimate
+SLIPS_MPS2: Final = 0.2
+#: share of all turning that may stay below it
 OFTEN: Final = 0.9
 
 
@@ -325,9 +325,9 @@ class RearShaft:
 def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps) -> RearShaft:
     """Return the nominal drive; slip is estimated where fast turns show it."""
     speed_mps, steer_rad = np.asarray(steps.speed_mps), np.asarray(steps.steer_rad)
-    lateral_mps2 = np.square(speed_mps) * np.abs(np.tan(steer_rad)) / wheelbase_m
-    moving = lateral_mps2[np.abs(steps.turned_rad[0]) > 0.0]
-    return RearShaft(radius_m, wheelbase_m, len(moving) > 0 and float(np.quantile(moving, OFTEN)) > SLIPS_MPS2)
+    turn = np.abs(steps.turned_rad[0] * np.tan(steer_rad))
+    fast = np.square(speed_mps) * np.abs(np.tan(steer_rad)) > SLIPS_MPS2 * wheelbase_m
+    return RearShaft(radius_m, wheelbase_m, bool(turn[fast].sum() > (1.0 - OFTEN) * turn.sum()))
 
 
 #: has its parameters with their nominal values, and the motion of the body at values of these, shape (n_parameters,)

@@ -13,7 +13,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.campaign.settings import Reference
 from calib.gap.apply import applied_model
-from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.mounting import DisplacedSensor, LateReference
@@ -21,6 +21,7 @@ from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import measured_gap, predict
 from tests.gap import free_drives
+from tests.kinematics.campaigns import mecanum
 
 #: of the sensor's place in `free_drives`, to the left over ahead
 ASIDE = 0.3
@@ -129,3 +130,12 @@ def test_a_place_is_added_to_the_stated_one_and_a_delay_to_the_wheels_times(tmp_
     late = moved.columns["t_s"] > 0.12
     assert moved.columns["counts_left"][late] == pytest.approx(even[late] - 24.0)
     assert np.array_equal(moved.columns["ref_x_m"], campaign.logs.columns["ref_x_m"])
+
+
+def test_wheels_that_roll_aside_tell_the_course_of_a_vehicle_that_strafes() -> None:
+    """A sound mecanum robot beside positions alone; its course was taken for its heading."""
+    sound = mecanum(np.random.default_rng(3), nominal=(0.068, 0.36), positions=True)
+    labels = {name: sound.runs.labels[name] for name in ("run_id", "session")}
+    numbers = {name: values for name, values in sound.runs.numbers.items() if not name.startswith("ref_")}
+    alone = replace(sound, runs=replace(sound.runs, labels=labels, numbers=numbers))
+    assert diagnose_in_full(alone, plan=False).kind is VerdictKind.NO_GAP

@@ -206,12 +206,18 @@ def tricycle(
 
 
 def mecanum(
-    rng: np.random.Generator, *, left: float = 0.0, strafe: float = 0.0, nominal: tuple[float, float] = (0.07, 0.369)
+    rng: np.random.Generator,
+    *,
+    left: float = 0.0,
+    strafe: float = 0.0,
+    nominal: tuple[float, float] = (0.07, 0.369),
+    positions: bool = False,
 ) -> Campaign:
     """Four mecanum wheels of radius 0.068 m with l + w = 0.36 m: lines, strafes, diagonals, spins, arcs.
 
     `left`: by how much the radii of the left wheels are larger; `strafe`: share that slips to the side; `nominal`:
-    radius and l + w of the settings, whose track is that of the wheels, half the sum of both.
+    radius and l + w of the settings, whose track is that of the wheels, half the sum of both; `positions`: along the
+    way, too.
     """
     radius, arm, per_rev = 0.068, 0.36, 20000.0
     motions = {
@@ -229,20 +235,20 @@ def mecanum(
         ahead, aside, turn = (np.full(FINE, total / FINE) for total in motions[kind])
         heading = np.concatenate(([0.0], np.cumsum(turn)))
         middle = 0.5 * (heading[1:] + heading[:-1])
-        end = np.array(
-            [
-                np.sum(ahead * np.cos(middle) - (1.0 - strafe) * aside * np.sin(middle)),
-                np.sum(ahead * np.sin(middle) + (1.0 - strafe) * aside * np.cos(middle)),
-                heading[-1],
-            ]
-        )
+        moved = (ahead + 1j * (1.0 - strafe) * aside) * np.exp(1j * middle)
+        path = np.concatenate(([0.0], np.cumsum(moved)))
+        end = np.array([path[-1].real, path[-1].imag, heading[-1]])
         # front left, front right, rear left, rear right
         rolled = [ahead - aside - arm * turn, ahead + aside + arm * turn, ahead + aside - arm * turn]
         rolled.append(ahead - aside + arm * turn)
         rolled = [way / (1.0 + left * (at % 2 == 0)) for at, way in enumerate(rolled)]
         at = np.linspace(0, FINE, SAMPLES + 1).round().astype(int)
         counts = [np.rint(np.concatenate(([0.0], np.cumsum(w))) / radius / (2 * np.pi) * per_rev)[at] for w in rolled]
-        logs.append({"t_s": at * 0.005, **dict(zip(WHEEL_COLUMNS["wheels"], counts, strict=True))})
+        log = {"t_s": at * 0.005, **dict(zip(WHEEL_COLUMNS["wheels"], counts, strict=True))}
+        if positions:
+            noise = 0.002 * rng.normal(size=(2, len(at)))
+            log |= {"ref_x_m": path[at].real + noise[0], "ref_y_m": path[at].imag + noise[1]}
+        logs.append(log)
         ends.append(end + np.array([0.002, 0.002, 0.001]) * rng.normal(size=3))
     vehicle = Vehicle(
         wheel_radius_m=nominal[0],

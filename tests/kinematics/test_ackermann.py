@@ -208,6 +208,10 @@ def test_slip_is_estimated_in_fast_turns_only() -> None:
     for speed, slips in ((0.2, False), (2.0, True)):
         steps = Steps(np.full((1, 40), 0.1), steer, None, np.full(40, speed))
         assert rear_shaft(RADIUS_M, WHEELBASE_M, steps).slips is slips
+    # fast turns between long straights: these show it, however many samples are straight
+    steer = np.where(np.arange(400) < 20, 0.3, 0.0)
+    steps = Steps(np.full((1, 400), 0.1), steer, None, np.full(400, 2.0))
+    assert rear_shaft(RADIUS_M, WHEELBASE_M, steps).slips
 
 
 def test_every_command_takes_an_ackermann_vehicle(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

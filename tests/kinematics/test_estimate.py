@@ -357,3 +357,16 @@ def test_a_heading_lost_in_a_turn_and_found_a_turn_off_is_no_mistyped_one() -> N
     corrected, off = recording.with_whole_turns(turn)
     assert off == []
     assert corrected.end_pose[0, 2] == pytest.approx(2.0 * np.pi, abs=0.5)
+
+
+def test_headings_of_an_effective_track_far_from_the_nominal_one_are_no_turns_off() -> None:
+    """A skid-steered vehicle that turns half as far as its nominal track says: where that is two turns, it is one."""
+    made = campaign(mixed(4)[6:], TRUTH, np.random.default_rng(12))
+    recording = recording_of(made, "rear")
+    turn = 2.0 * nominal_motion(drive_of(made, "rear", recording), recording.steps)[2]
+    assert recording.with_whole_turns(turn)[1] == []
+    end_pose = recording.end_pose.copy()
+    end_pose[0, 2] += 2.0 * np.pi
+    off = replace(recording, end_pose=end_pose).with_whole_turns(turn)
+    assert off[1] == [str(recording.run_id[0])]
+    assert off[0].end_pose[0, 2] == pytest.approx(recording.end_pose[0, 2])

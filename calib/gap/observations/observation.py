@@ -233,11 +233,13 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         return None
     left = log["counts_left"][all_rows] / per_rad[0] * model.radius_left_m
     right = log["counts_right"][all_rows] / per_rad[1] * model.radius_right_m
-    travelled = np.concatenate(([0.0], np.cumsum(0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right))))))[valid]
+    aside = log.get(ASIDE, np.zeros(len(log["counts_left"])))[all_rows]
+    rolled = 0.5 * (np.abs(np.diff(left)) + np.abs(np.diff(right)))
+    travelled = np.concatenate(([0.0], np.cumsum(np.hypot(rolled, np.diff(aside)))))[valid]
     seen = np.stack([log["ref_x_m"][rows], log["ref_y_m"][rows]], axis=1)
     if heading is None:
         way = max(1.5 * model.track_m, COURSE_SIGMAS * reference.sigma_xy_m)
-        by_wheels = _by_wheels(left, right, model.track_m)[valid]
+        by_wheels = _by_wheels(left, right, model.track_m, aside)[valid]
         lasts_s = np.gradient(log["t_s"][rows]) if "t_s" in log else np.full(len(rows), np.inf)
         velocity_mps = np.gradient(by_wheels[:, 0] + 1j * by_wheels[:, 1]) / lasts_s
         # in the frame of its start a sensor on the axle needs no heading
@@ -256,7 +258,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
             sigma_xy_m=reference.sigma_xy_m,
             way_m=min(way, COURSE_SHARE * float(travelled[-1])),
         )
-    turned = _by_wheels(left, right, model.track_m)[valid, 2] if len(rows) < MIN_POSES else 0.0
+    turned = _by_wheels(left, right, model.track_m, aside)[valid, 2] if len(rows) < MIN_POSES else 0.0
     of_sensor = np.column_stack([seen, turned + np.unwrap(heading[rows] - turned)])
     begins_there = not setup.in_map and travelled[0] <= reference.sigma_xy_m and _begins_at_place(of_sensor, reference)
     poses = poses_of_vehicle(of_sensor, reference, in_map=setup.in_map or begins_there)
@@ -284,10 +286,10 @@ def _slips_m(velocity_mps: ComplexArray, heading_rad: FloatArray) -> ComplexArra
     return -np.cumsum(np.stack([aside * speed**2, aside * np.abs(speed)], axis=1), axis=0)
 
 
-def _by_wheels(left_m: FloatArray, right_m: FloatArray, track_m: float) -> FloatArray:
-    ds, turn = 0.5 * np.diff(left_m + right_m), np.diff(right_m - left_m) / track_m
-    mid = np.cumsum(turn) - 0.5 * turn
-    return np.vstack([np.zeros(3), np.cumsum(np.stack([ds * np.cos(mid), ds * np.sin(mid), turn], axis=1), axis=0)])
+def _by_wheels(left_m: FloatArray, right_m: FloatArray, track_m: float, aside_m: FloatArray) -> FloatArray:
+    turn = np.diff(right_m - left_m) / track_m
+    moved = (0.5 * np.diff(left_m + right_m) + 1j * np.diff(aside_m)) * np.exp(1j * (np.cumsum(turn) - 0.5 * turn))
+    return np.vstack([np.zeros(3), np.cumsum(np.stack([moved.real, moved.imag, turn], axis=1), axis=0)])
 
 
 def step_array(n_steps: int) -> FloatArray:
