@@ -175,7 +175,11 @@ def _fitted(task: _Task, recording: Recording, known: tuple[Fault, ...] = ()) ->
             break
         task.progress(number, 0, "fits")
         # short windows do not find a delay of many steps
-        other = task.fit(drive, recording, segments, None if many and not turned else chosen)
+        try:
+            other = task.fit(drive, recording, segments, None if many and not turned else chosen)
+        except np.linalg.LinAlgError:
+            # of wrong readings a search may end at lengths of zero
+            break
         fewer = len(other.undetermined) < len(chosen.undetermined)
         if not (bends or (fewer if many else other.spread <= chosen.spread + np.log(AS_GOOD))):
             break

@@ -176,11 +176,9 @@ def _decorrelated(columns: FloatArray, shared: Shared) -> FloatArray:
 
 
 def _block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatArray:
-    jacobian, residuals = whitened(solution, free)
-    scores = np.einsum("nip,ni->np", jacobian, residuals)
-    total = np.stack([np.bincount(block, scores[:, at]) for at in range(scores.shape[1])], axis=1)
-    flat = flattened(jacobian)
-    return np.asarray(total @ np.linalg.inv(np.linalg.cholesky(flat.T @ flat + solution.pull)).T)
+    flat, residuals, *_ = _unit_columns(solution, free)
+    scores = (flat * residuals[:, None]).reshape(len(block), 3, -1).sum(axis=1)
+    return np.stack([np.bincount(block, column) for column in scores.T], axis=1)
 
 
 def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:

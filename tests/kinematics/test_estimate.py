@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,10 +14,10 @@ from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.errors import RefusedError
 from calib.gap.plan.planned_runs import joined
-from calib.kinematics import recording_of
+from calib.kinematics import estimate, recording_of
 from calib.kinematics.drives import NOMINAL_STD, nominal_motion
 from calib.kinematics.estimate import estimate_geometry
-from calib.kinematics.joint_fit import drive_of
+from calib.kinematics.joint_fit import Fitted, drive_of
 from calib.reporting.topics.geometry import geometry_sentences
 from tests.kinematics.campaigns import Truth, both_ways, campaign, mixed, tricycle
 
@@ -370,3 +371,19 @@ def test_headings_of_an_effective_track_far_from_the_nominal_one_are_no_turns_of
     off = replace(recording, end_pose=end_pose).with_whole_turns(turn)
     assert off[1] == [str(recording.run_id[0])]
     assert off[0].end_pose[0, 2] == pytest.approx(recording.end_pose[0, 2])
+
+
+def test_windows_that_no_lengths_solve_leave_the_fit_of_coarser_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of wrong readings a search may end at lengths of zero."""
+    made = campaign(mixed(1), TRUTH, np.random.default_rng(13), along=True)
+    fit, sizes = estimate.fit_parameters, list[int]()
+
+    def first_alone(*given: Any) -> Fitted:
+        sizes.append(len(given[3]))
+        if sizes[-1] > sizes[0]:
+            raise np.linalg.LinAlgError
+        return fit(*given)
+
+    monkeypatch.setattr(estimate, "fit_parameters", first_alone)
+    assert estimate_geometry(made, using="windows").passed
+    assert max(sizes) > sizes[0]
