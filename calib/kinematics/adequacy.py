@@ -105,7 +105,7 @@ def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tup
     `what`, `unit`: for the sentence; a residual times 1000 is in `unit`.
     """
     sizes = (residuals.before, residuals.after, residuals.held_out, residuals.expected)
-    words = (f"{few_digits(1e3 * value)} {unit}" if value == value else "an unknown part" for value in sizes)
+    words = (f"{few_digits(1e3 * value)} {unit}" if math.isfinite(value) else "an unknown part" for value in sizes)
     before, after, held_out, noise = words
     of = "distance travelled" if what == "position" else "rotation"
     travelled, unusual = max(residuals.travelled, 1e-12), LACK_OF_FIT * residuals.usual_noise
@@ -334,7 +334,8 @@ def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[
         yield (
             f"runs differ: within them {1e3 * left[0]:.3g} mm and {1e3 * left[1]:.3g} mrad are left, "
             f"{1e3 * own[0]:.3g} mm and {1e3 * own[1]:.3g} mrad by parameters of each; {name}, for one, is less in "
-            f"{sides[0] or 'no run'} than in {sides[1] or 'the others'}: vehicle, sensor or reference changed; calibrate these runs by themselves"
+            f"{sides[0] or 'no run'} than in {sides[1] or 'the others'}: vehicle, sensor or reference changed; "
+            "calibrate these runs by themselves"
         )
 
 

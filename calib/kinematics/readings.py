@@ -242,11 +242,13 @@ def _sides(n_wheels: int) -> list[tuple[str, BoolArray]]:
 
 
 def _wraps(recording: Recording, per_rev: float) -> Iterator[Reading]:
-    largest = np.abs(recording.steps.turned_rad).max()
+    turned = recording.steps.turned_rad
+    # what overflows stays within a period of where it began
+    largest, farthest = np.abs(turned).max(), np.abs(since_start(turned, recording.offsets)).max()
     periods = {"one revolution (an absolute encoder)": 2.0 * np.pi}
     periods |= {f"2^{bits}": 2.0 * np.pi * 2.0**bits / per_rev for bits in COUNTER_BITS}
     for what, period in periods.items():
-        if 0.5 * period < largest <= 1.01 * period:
+        if 0.5 * period < largest and farthest <= 1.01 * period:
             yield _wrapped(f"{what} and were not unwrapped; state wrap_bits in [encoder], or", period)
 
 
