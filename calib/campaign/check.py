@@ -42,7 +42,6 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
 
 
 def _with_counts_of_runs(campaign: Campaign) -> tuple[list[Note], Campaign]:
-    # running totals: a note, and their differences
     totals = both_sides(campaign, "counts_{}")
     step = np.diff(totals, prepend=0.0)
     counted = dict(zip(("counts_left", "counts_right"), np.where(step < 0, totals, step), strict=True))

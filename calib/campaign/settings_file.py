@@ -167,7 +167,6 @@ def _known(section: str) -> tuple[str, ...]:
 def _refused(
     error: ValidationError, shown: str, section: str, table: Mapping[str, Any], names: Mapping[str, str] | None = None
 ) -> BadFileError:
-    # names: calib's key -> as in the file
     fault = error.errors(include_url=False)[0]
     name, limits = str(fault["loc"][0]), fault.get("ctx", {})
     key = (names or {}).get(name, name)

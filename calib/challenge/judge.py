@@ -13,7 +13,7 @@ from calib.gap.effects.library import REGISTRY
 from calib.plant import Cause
 from calib.types import FloatArray
 
-Compared = tuple[str, float, float, float]  # parameter, truth, low, high
+Compared = tuple[str, float, float, float]
 
 #: effect, in its plain form -> parameter of the verdict that is its size
 _SIZES: Final = {

@@ -99,7 +99,6 @@ def _apply(
     effects: "tuple[EffectSection, ...] | None",
     target: Path,
 ) -> str | None:
-    # the step that it was, empty where the diagnosis' own holds, None where nothing is written
     from calib.coefficients.file import fitted_beside, load_coefficients
     from calib.gap.apply import applied_model, on_vehicle
     from calib.gap.decision.diagnosis import VerdictKind

@@ -170,7 +170,6 @@ def predict(s: Observations, perturbations: list[Perturbation] | None = None) ->
     perturbation = total_perturbation(s, perturbations or [])
     if len(s.spans) == 1:
         return _predicted(s, perturbation)
-    # of the counts alone: once for all paths
     _ = s.front_ways
     path = Path(s, perturbation, np.zeros((len(s), 3)), np.zeros((len(s), N_CHANNELS)), np.zeros(len(s)))
     kept = []

@@ -239,7 +239,6 @@ def _straight(campaign: Campaign) -> BoolArray:
 
 
 def _slope(counted: FloatArray, measured: FloatArray) -> tuple[float, float]:
-    # slope through zero and its standard error, without outliers
     used = np.ones(len(counted), dtype=bool)
     for _ in range(2):
         square = max(float(counted[used] @ counted[used]), 1e-300)

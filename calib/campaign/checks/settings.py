@@ -66,7 +66,6 @@ def counts_per_revolution(campaign: Campaign) -> Iterator[Note]:
 
 
 def _over_model(campaign: Campaign, side: str) -> FloatArray:
-    # nominal radius over the model's at each run's load
     model, load = campaign.model, campaign.runs.number(f"load_{side}_N")
     slope, radius = getattr(model, f"slope_{side}_m_per_N"), getattr(model, f"radius_{side}_m")
     changes = slope * np.nan_to_num(load - model.reference_load_N)

@@ -112,7 +112,6 @@ def describe(sources: Sequence[Path]) -> Description:
     lines = _mapping_lines(whole, apart or (_sheets_of_runs(table) if table is not None else []))
     if alike and (folders := ingest.folders_of(paths)):
         lines = wrapped(f"{folders}: {ingest.OF_FOLDERS}", "# ") + lines
-    # the table is named first, also one of a folder
     names = [str(source) for source in sources]
     ordered = names if table is None else [table.name, *(source for source in names if source != table.name)]
     return Description((*([table] if table else ()), *logs), len(paths), table, tuple(lines), tuple(ordered))
@@ -136,7 +135,6 @@ def _run_table(files: Sequence[FileContents]) -> FileContents | None:
         timed = any(guessed_log_column(column.name) == "t_s" for column in file.columns)
         score = len(guesses) + 3 - 4 * timed
         runs = run_column(file)
-        # a log cut by a column has many rows a run
         single = runs is not None and (runs.kind != "number" or 2 * runs.span + 2 > file.n_rows)
         named = single or (guesses >= _RUN_TABLE_NUMBERS and guesses & _RUN_TABLE_COLUMNS and not has_clock(file))
         if not file.recording and named and score > best_score:

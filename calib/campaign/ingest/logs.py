@@ -273,7 +273,6 @@ def _to_counts(columns: dict[str, FloatArray], lines: Lines, settings: Campaign,
 
 
 def _rows_once(columns: Columns, lines: Lines, shown: str, border: Border) -> Columns:
-    # increments written twice add no counts
     if not any(name in lines and lines[name].wheel_unit == "counts/sample" for name in columns):
         return columns
     rows = np.nan_to_num(np.stack([*columns.values()]))

@@ -150,7 +150,6 @@ def _of_one_body(columns: list[ColumnContents]) -> tuple[list[ColumnContents], l
 
 
 def _preference(column: ColumnContents) -> tuple[bool, bool, bool]:
-    # last: a joint's rate, a pose of no tracker, a length of no instrument
     no_tracker = _NO_TRACKER.fullmatch(stem_and_unit(column.name)[0]) is not None or "odom" in column.name.lower()
     return _VELOCITY in column.name, no_tracker, not guesses.by_rangefinder(column.name)
 
@@ -187,7 +186,6 @@ def _to_ground(chosen: dict[str, ColumnContents], columns: Sequence[ColumnConten
         return
     spans = [axis.span for axis in axes]
     up = spans.index(min(spans))
-    # so is a straight run's sideways motion
     up = up if spans[up] < _VERTICAL_SHARE * sorted(spans)[1] else 2
     chosen["ref_x_m"], chosen["ref_y_m"] = axes[(up + 1) % 3], axes[(up + 2) % 3]
     turns = [column for column in columns if column.name[-1].lower() == "xyz"[up] and _quaternion_w(column) in named]

@@ -57,7 +57,6 @@ def table_lines(table: FileContents, logs: Sequence[FileContents]) -> list[str]:
     def of(target: str) -> list[ColumnContents]:
         return [column for column in table.columns if targets[column.name] == target]
 
-    # last: a date for the session, an axle's load, a length of no instrument
     dates = [one for one in of("session") if stem_and_unit(one.name)[0] in {"datum", "date", "messdatum"}]
     passed_over = dates if len(of("session")) > len(dates) else []
     passed_over += of(_AXLE) if set(WHEEL_LOADS) & set(targets.values()) else []
@@ -279,7 +278,6 @@ def files_of_a_run(logs: Sequence[FileContents]) -> dict[str, tuple[str, FileCon
     one = all(len(group) == 1 for group in groups)
     patterns = [name_pattern(stems) or stems[0] * one for stems in ([Path(o.name).stem for o in g] for g in groups)]
     whole = [pattern for pattern in patterns if pattern]
-    # files with wheels each are separate runs: run_1_out, run_1_back
     wheels = sum("counts_left" in {guesses.guessed_log_column(c.name) for c in group[0].columns} for group in groups)
     if not 1 < len(groups) == len(whole) or wheels > 1:
         return {}

@@ -277,7 +277,6 @@ def match_logs(
 
 
 def _unread(files: Sequence[Path]) -> dict[str, str]:
-    # what lies beside the logs in no format that is read, by stem
     beside = [path for folder in {one.parent for one in files} if folder.is_dir() for path in folder.iterdir()]
     read = ", ".join(READERS)
     other = [path for path in beside if path.is_file() and path.suffix.lower() not in READERS]

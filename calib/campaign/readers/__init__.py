@@ -361,7 +361,6 @@ def _streams(group: str, channels: "Mapping[str, TdmsChannel]") -> list[Stream]:
         time, clock, columns = _time(next(iter(members.values()))), "waveform properties", {}
         for name, channel in members.items():
             if channel[0:1].dtype.names:
-                # the clock of channels beside it
                 time, clock = _moments_ns(channel[:]), f"time stamps of {name}"
             else:
                 columns[name] = floats(channel[:])

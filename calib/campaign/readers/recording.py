@@ -249,7 +249,6 @@ class _Buffer:
 
 
 def _named_apart(streams: Iterable[Stream]) -> Iterator[Stream]:
-    # the largest of a topic's streams keeps its name
     taken: dict[str, int] = {}
     for stream in sorted(streams, key=len, reverse=True):
         number = taken[stream.name] = taken.get(stream.name, 0) + 1

@@ -101,7 +101,6 @@ def _opened(path: Path, shown: str, *, results: bool = True) -> Iterator[Any]:
 
 
 def _sheet(book: Any, path: Path, shown: str, layout: Layout, last_row: int) -> tuple[str, Rows, int, list[Note]]:
-    # name, filled rows, the header's index among them, what was filled in
     if layout.sheet is not None and layout.sheet not in book.sheetnames:
         actual = f"the sheets {', '.join(map(str, book.sheetnames))[:200]}"
         raise BadFileError(shown, actual, f"a sheet {layout.sheet!r}", "correct sheet of the mapping")

@@ -305,13 +305,11 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     loads = formats.within_N(file, pair)
     radius = np.array([float(law.left.radius_m(loads[0])), float(law.right.radius_m(loads[1]))])
     left, right = 1.0 / radius
-    # change of path per metre, of heading per metre and per radian, by radii and track
     path = [0.5 * left, 0.5 * right]
     rates = np.array([[*path, 0.0], [-left / track, right / track, 0.0], [*path, -1.0 / track]])
     per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
     reading = (0.25 * float(count.sum()), float(count.sum()) / track**2)
-    # of one journey: with the scatter of single runs
     covariance = law.covariance_at(loads, file.vehicle.track_std.value, single_run=True)
     return _diagonals(file, rates, covariance, reading)
 

@@ -289,7 +289,6 @@ PLUGIN_KEYS: Final[dict[str, Callable[[_NewWheels], float]]] = {
 
 
 def _plugin_parameters(model: ModelFile) -> Iterator[Node]:
-    # of plugins and of ros2_control
     for node in model.root.walk():
         if not node.children and any(above.tag in ("plugin", "ros2_control") for above in node.ancestors()):
             yield node

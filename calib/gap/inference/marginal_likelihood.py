@@ -131,7 +131,6 @@ def _batch(sums: Sums, columns: FormPriors, index: IntArray, owner: IntArray) ->
     if index.shape[1] == 0:
         return log_marginal(sums.square, sums.log_det, sums.n_rows)[:, None]
     present = index >= 0
-    # models last in memory: a column of all at once
     places = index.T
     gram = np.moveaxis(sums.gram[:, places[:, None], places[None]], 3, 1)
     gram, right = _padded(gram, np.swapaxes(sums.right[:, places], 1, 2), present)

@@ -81,7 +81,6 @@ def thinned_replicates(grouped: Replicates, most: int = MAX_REPLICATES) -> Repli
         return grouped
     sizes = np.diff(np.append(grouped.first, n))
     wanted = np.maximum(2, np.ceil(sizes * most / n))
-    # each unit's place in its group, and the wanted place that it is first for
     place = np.arange(n) - grouped.first[grouped.group]
     slot = np.floor(place * wanted[grouped.group] / sizes[grouped.group])
     chosen = np.concatenate(([True], (np.diff(slot) > 0) | (np.diff(grouped.group) > 0)))

@@ -206,7 +206,6 @@ def _guided(
 def _simulated(units: Sequence[Observation], measured: FloatArray, usable: BoolArray, remarks: list[str]) -> FloatArray:
     simulated = np.full((len(units), N_CHANNELS), np.nan)
     simulated[:, :4] = [u.simulated for u in units]
-    # where a pose alone is simulated, what a laser reads of it
     (laser, x, y), axis = simulated[:, :3].T, _laser_axis(measured, usable)
     simulated[:, 0] = np.where(np.isnan(laser), np.where(axis == 2, np.hypot(x, y), np.abs(x)), laser)
     known = np.isfinite(simulated) & usable

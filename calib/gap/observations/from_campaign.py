@@ -253,7 +253,6 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
 
 
 def _recorded(run: int, setup: Setup, room: FloatArray) -> Observation | None:
-    # what varies along the run goes into `room`, (n_quantities, n_samples)
     campaign, runs, per_rad = setup.campaign, setup.campaign.runs, setup.per_rad
     log = campaign.logs.of(run)
     rows = log_rows(log)

@@ -154,7 +154,6 @@ def _all_new(driven: Campaign, runs: Sequence[PlannedRun]) -> bool:
 
 def _best(task: Task, after: Sequence[FloatArray], runs: Sequence[PlannedRun], usual_mps: float) -> int:
     best = max(range(len(after)), key=lambda k: (task.score(after[k]), -k))
-    # another speed is one difference more
     usual, least = replace(runs[best], speed_mps=usual_mps), (1.0 - FORM_ERROR) * after[best]
     alike = (k for k, run in enumerate(runs) if task.tied and run == usual and (after[k] >= least).all())
     return next(alike, best)

@@ -346,7 +346,6 @@ def _neighbours(
         others = [each for each in inside if each != number]
         for instead in ([], *([each] for each in range(len(names)) if each not in inside)):
             subset = [*others, *instead]
-            # one fewer is run in any case
             if subset and (not instead or square_left(columns[:, subset], gap, sign[subset]) <= most):
                 yield {names[each]: differences.by_cause[names[each]] for each in subset}
 
