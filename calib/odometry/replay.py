@@ -217,12 +217,17 @@ def _with_end_poses(campaign: Campaign) -> Campaign:
     ends = np.stack([campaign.runs.number(name) for name in names])
     if poses_are_in_a_map(campaign.included()):
         ends[:] = np.nan
-    logged = set(names) <= columns.keys()
+    counters = [name for name in logged_columns(counted_source(campaign)) if "counts" in name and name in columns]
+    logged = set(names) <= columns.keys() and len(counters) > 0
     for run in np.flatnonzero(campaign.logs.present & np.isnan(ends).all(axis=0) & logged):
-        poses = np.stack([columns[name][offsets[run] : offsets[run + 1]] for name in names])
-        if np.isfinite(poses[:, [0, -1]]).all():
-            poses[2] = unwrapped(poses[2])
-            ends[:, run] = in_frame(poses[:, -1:] - poses[:, :1], poses[2, :1])[0]
+        part = slice(offsets[run], offsets[run + 1])
+        poses, counted = (np.stack([columns[name][part] for name in of]) for of in (names, counters))
+        known = np.flatnonzero(np.isfinite(poses).all(axis=0))
+        # a vehicle that stands is where it was last seen
+        if len(known) and (counted[:, known[[0, -1]]] == counted[:, [0, -1]]).all():
+            first, last = poses[:, known[0]], poses[:, known[-1]]
+            last[2] = unwrapped(poses[2, known])[-1]
+            ends[:, run] = in_frame((last - first)[:, None], first[2:])[0]
     numbers = {**campaign.runs.numbers, **dict(zip(names, ends, strict=True))}
     return replace(campaign, runs=replace(campaign.runs, numbers=numbers))
 

@@ -27,6 +27,7 @@ from calib.odometry.poses import Poses
 from calib.odometry.replay import replay
 from calib.odometry.routes import loads_in_steps, travel_from_counts
 from calib.radius.law import RadiusLaw, WheelLaw
+from calib.reporting.topics.simulation import replay_trajectories
 from tests.campaign.making import with_log_columns, with_numbers
 from tests.odometry.frames import moved
 
@@ -179,7 +180,7 @@ def test_a_load_out_of_range_on_the_way_takes_the_run_out(campaign: Campaign, co
     assert found.runtime.faults == {"LOAD_OUT_OF_RANGE": 1}
 
 
-def test_runs_without_loads_are_unladen_as_a_diagnosis_takes_them(campaign: Campaign) -> None:
+def test_runs_without_loads_are_unladen_as_a_diagnosis_takes_them(campaign: Campaign, tmp_path: Path) -> None:
     """A model corrected from runs without loads holds at the unladen load alone, not where its law is centred."""
     unladen = campaign.vehicle.unladen_load_N
     nan = np.full(4, np.nan)
@@ -194,6 +195,9 @@ def test_runs_without_loads_are_unladen_as_a_diagnosis_takes_them(campaign: Camp
     np.testing.assert_allclose(found.load_left_N, unladen)
     np.testing.assert_allclose(file.law.left.radius_m(found.load_left_N), by_diagnosis)
     assert found.runtime.largest_difference_m < 1e-9
+    # trajectories are those of the same runs
+    written = replay_trajectories(bare, file, tmp_path / "tum", force=False)
+    assert [path.name for path in written] == [f"{name}.tum" for name in found.run_id]
 
 
 def test_loads_in_logs_are_read_back(campaign: Campaign, tmp_path: Path) -> None:
@@ -248,3 +252,23 @@ def test_what_speaks_against_logs_or_law_is_said_in_a_note_each(
     assert cut.startswith("1 log(s) count other than the run table") and campaign.runs.run_id[0] in cut
     of_one = replace(campaign.logs, columns={k: v for k, v in campaign.logs.columns.items() if k != "load_left_N"})
     assert "load of the other wheel alone" in notes(replace(campaign, logs=of_one))
+
+
+def test_a_vehicle_that_stands_at_the_end_is_where_it_was_last_seen(
+    campaign: Campaign, coefficients: CoefficientFile
+) -> None:
+    """Poses come less often than counts: the last sample of a log hardly ever has one."""
+    offsets, ends = campaign.logs.offsets, np.stack([campaign.runs.number(name) for name in POSES])
+    poses = np.full((3, offsets[-1]), np.nan)
+    poses[:, offsets[:-1]] = 0.0
+    # two samples before the end; the vehicle stands in the first two runs
+    poses[:, offsets[1:] - 3] = ends
+    counts = {name: campaign.logs.columns[name].copy() for name in ("counts_left", "counts_right")}
+    for end in offsets[1:3]:
+        for column in counts.values():
+            column[end - 2 : end] = column[end - 3]
+    nan = np.full(4, np.nan)
+    logged = with_log_columns(campaign, **dict(zip(POSES, poses, strict=True)), **counts)
+    found = replay(with_numbers(logged, **dict.fromkeys(POSES, nan)), coefficients, rng=np.random.default_rng(0))
+    assert found.run_id.tolist() == campaign.runs.run_id[:2].tolist()
+    np.testing.assert_allclose(found.reference.stacked(), ends.T[:2], atol=1e-12)

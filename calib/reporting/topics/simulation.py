@@ -16,7 +16,7 @@ from calib.io import refuse_existing, write_json, write_text
 from calib.odometry import integrate
 from calib.odometry.law_path import LawPath
 from calib.odometry.poses import Poses, write_tum
-from calib.odometry.replay import Replay, carried_loads_N, stood_in
+from calib.odometry.replay import Replay, carried_loads_N, stood_in, with_loads
 from calib.odometry.routes import radii_under_load, travel_from_counts
 from calib.odometry.simulation import SHOWN, LawPart, Simulation, Sweep, paper_headline
 from calib.reporting import Block, Items, Table, Text, caption, catalogue, paragraph, simulated_notice, table
@@ -253,7 +253,7 @@ def write_replay(replay: Replay, folder: Path, document: Mapping[str, Any], *, f
 
 def replay_trajectories(campaign: Campaign, coefficients: CoefficientFile, folder: Path, *, force: bool) -> list[Path]:
     """Write the odometry of each logged run with its radii under load, and its reference where logged, as TUM files."""
-    written = []
+    written, campaign = [], with_loads(campaign, coefficients.law)[0]
     for run in np.flatnonzero(campaign.logs.present).tolist():
         log = campaign.logs.of(run)
         driven = _driven(campaign.select([run]), log, coefficients)
