@@ -279,7 +279,6 @@ class LogStack:
                 self._columns[name] = np.full(begin, np.nan)
         for name, column in self._columns.items():
             if len(column) < self._size:
-                # in place where the system can move pages
                 column.resize(self._size + max(_GROWTH, int(_GROWTH_SHARE * self._size)), refcheck=False)
             column[begin : self._size] = columns.get(name, np.nan)
 

@@ -117,11 +117,13 @@ class Recording:
         end_pose, (turn_rad, lost) = self.end_pose.copy(), self._turns_followed(turn_rad)
         heading = end_pose[:, 2]
         known = np.isfinite(heading)
-        if (np.abs(heading[known]) <= np.pi + 1e-6).all() and (np.abs(turn_rad[known]) > 1.5 * np.pi).any():
-            heading += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
-        elif (clear := known & (np.abs(turn_rad) > TURNS_CLEARLY_RAD)).any():
+        wrapped = (np.abs(heading[known]) <= np.pi + 1e-6).all() and (np.abs(turn_rad[known]) > 1.5 * np.pi).any()
+        clear = known & (np.abs(turn_rad) > TURNS_CLEARLY_RAD) & (~wrapped | (np.abs(turn_rad) < np.pi))
+        if clear.sum() > 2:
             # an effective track may be twice the nominal one
             turn_rad = turn_rad * np.median(heading[clear] / turn_rad[clear])
+        if wrapped:
+            heading += 2.0 * np.pi * np.rint((turn_rad - heading) / (2.0 * np.pi))
         turns = np.nan_to_num((turn_rad - heading) / (2.0 * np.pi))
         off = (np.rint(turns) != 0.0) & (np.abs(turns - np.rint(turns)) < WHOLE_TURN)
         off &= np.abs(turn_rad) < MOST_TURNS_RAD

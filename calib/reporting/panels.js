@@ -56,7 +56,6 @@ d.arrow_x = Array.from(d.end_x, (x, k) => [x, x + cb_obj.value * d.off_x[k]]);
 d.arrow_y = Array.from(d.end_y, (y, k) => [y, y + cb_obj.value * d.off_y[k]]);
 source.change.emit();
 //: highlight
-// selects the observations of the chosen sessions, kinds and runs
 const rows = [];
 const wanted = cb_obj.value;
 for (let k = 0; k < source.data.run.length; k++) {

@@ -371,6 +371,12 @@ def test_headings_of_an_effective_track_far_from_the_nominal_one_are_no_turns_of
     off = replace(recording, end_pose=end_pose).with_whole_turns(turn)
     assert off[1] == [str(recording.run_id[0])]
     assert off[0].end_pose[0, 2] == pytest.approx(recording.end_pose[0, 2])
+    # of headings within half a turn, by the runs that turn by less
+    turned = recording.end_pose[:, 2]
+    within = (turned + np.pi) % (2.0 * np.pi) - np.pi
+    end_pose = np.column_stack([recording.end_pose[:, :2], within])
+    unwrapped, _ = replace(recording, end_pose=end_pose).with_whole_turns(0.75 * turn)
+    assert unwrapped.end_pose[:, 2] == pytest.approx(turned)
 
 
 def test_windows_that_no_lengths_solve_leave_the_fit_of_coarser_ones(monkeypatch: pytest.MonkeyPatch) -> None:

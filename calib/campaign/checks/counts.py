@@ -267,7 +267,6 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
             way = checks.rolled_m(campaign, "left", log["counts_left"][::stride])
             rates = np.abs(np.diff(way)) / step
             ratios[run] = np.median(rates) / speed[run] if speed[run] > 0 else np.nan
-            # a wheel that stands jitters by a count
             driven[run] = np.median(rates[rates > 0]) if np.ptp(way) > campaign.vehicle.wheel_radius_m else np.nan
     yield from _speed_note(float(np.nanmedian(driven)) if np.isfinite(driven).any() else 1.0)
     known = np.isfinite(ratios) & (ratios > 0)

@@ -316,7 +316,6 @@ def estimate_lag(
     lag = peak(everything)
     if correlation(lag, everything) < _LEAST_CORRELATION:
         return None
-    # 95 % interval, each block held out in turn
     block = np.arange(len(grid)) * _JACKKNIFE_BLOCKS // len(grid)
     estimates = np.asarray([peak(block != number) for number in range(_JACKKNIFE_BLOCKS)])
     half = float(student.ppf(0.975, _JACKKNIFE_BLOCKS - 1) * np.std(estimates) * np.sqrt(_JACKKNIFE_BLOCKS - 1))

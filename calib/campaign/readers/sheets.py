@@ -270,7 +270,6 @@ def table_rows(
         f"{name} [{unit}]" if unit and not _UNIT_AT_END.search(name) else name
         for name, unit in zip(names, units, strict=True)
     ]
-    # Day 1, Day 2 above rows
     headings = list(dict.fromkeys(above))
     if all(headings) and len(headings) > 1 == len({*map(_shape, headings)}):
         notes = [one for one in notes if one.text.split("'")[1] not in headings]

@@ -291,7 +291,6 @@ def _steered(
     else:
         step_m = np.hypot(ahead, model.wheelbase_m * turn)
         name, per_rev, rolled_m = "counts_front", campaign.encoder.front, np.append(0.0, np.cumsum(step_m))
-        # a rounded zero must not reverse the wheel
         angle = np.where(step_m > 0.0, np.arctan2(model.wheelbase_m * turn, np.abs(ahead)), 0.0)
     steer = (np.append(angle[:1], angle) - model.zero_rad) / model.scale
     return {name: rolled_m / model.radius_m * per_rev / (2 * np.pi), "steer_rad": steer}
