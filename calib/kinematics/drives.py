@@ -276,8 +276,9 @@ SIDE_SLIP: Final = "side_slip_s2_per_m"
 #: rubber on a smooth floor gives way by some hundredths of a radian at 1 m/s^2: 0.01 s^2/m
 UNDERSTEER_STD: Final = 0.05
 SIDE_SLIP_STD: Final = 0.02
-#: turns below this lateral acceleration slip by four milliradians: nothing to estimate
-SLIPS_MPS2: Final = 0.2
+#: turns below this lateral acceleration slip by four milliradians, ten where ends do not tell that from wheelbase and
+#: steering scale: nothing to estimate
+SLIPS_MPS2, SLIPS_AT_ENDS_MPS2 = 0.2, 0.5
 #: share of all turning that may stay below it
 OFTEN: Final = 0.9
 
@@ -322,11 +323,11 @@ class RearShaft:
         return Motion(np.stack([travel, -side_slip * square * turn, turn]), derivative)
 
 
-def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps) -> RearShaft:
+def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps, least_mps2: float = SLIPS_MPS2) -> RearShaft:
     """Return the nominal drive; slip is estimated where fast turns show it."""
     speed_mps, steer_rad = np.asarray(steps.speed_mps), np.asarray(steps.steer_rad)
     turn = np.abs(steps.turned_rad[0] * np.tan(steer_rad))
-    fast = np.square(speed_mps) * np.abs(np.tan(steer_rad)) > SLIPS_MPS2 * wheelbase_m
+    fast = np.square(speed_mps) * np.abs(np.tan(steer_rad)) > least_mps2 * wheelbase_m
     return RearShaft(radius_m, wheelbase_m, bool(turn[fast].sum() > (1.0 - OFTEN) * turn.sum()))
 
 

@@ -101,7 +101,8 @@ def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     if source == "front":
         return drives.FrontWheel(vehicle.front_radius_m, vehicle.wheelbase_m)
     if source == "shaft":
-        return drives.rear_shaft(vehicle.wheel_radius_m, vehicle.wheelbase_m, recording.steps)
+        least_mps2 = drives.SLIPS_MPS2 if recording.continuous else drives.SLIPS_AT_ENDS_MPS2
+        return drives.rear_shaft(vehicle.wheel_radius_m, vehicle.wheelbase_m, recording.steps, least_mps2)
     if source == "wheels":
         wheels = mecanum_model(campaign)
         return drives.Mecanum(wheels.radius_m, wheels.arm_m)

@@ -15,7 +15,7 @@ from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray, IntArray
 #: variances of a displacement's covariance: of the reference's position and heading (m^2, rad^2), of the random walks
 #: of heading and distance (rad^2/m, m^2/m)
 COMPONENTS: Final = ("reference_xy", "reference_theta", "heading_walk", "along_walk")
-#: how far below its stated size a component may fall
+#: how far below its stated size one may fall
 LEAST: Final = 1e-4
 #: readings at the stated size beside the data: of few runs a walk may fit all by chance
 STATED_READINGS: Final = np.array([1.0, 1.0, 0.0, 0.0])

@@ -58,7 +58,7 @@ class Basis(StrEnum):
     NOTHING = "nothing: nothing was driven twice, and the sigmas were assumed"
 
 
-#: basis, labels (n_units,) of units that are compared, trends between these that are no noise, least dof
+#: basis, labels (n_units,) of units compared, trends between these that are no noise, least dof
 _NoiseSupport = tuple[Basis, IntArray, FloatArray | None, float]
 
 
@@ -135,8 +135,7 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
     `gap`: (n_units, 6), measured minus predicted about `path`; scales not determined keep their prior.
     """
     shapes = components.NoiseComponents.about(path)
-    first, prior = None, np.log(components.PRIOR_MEDIANS)
-    tried = set()
+    first, prior, tried = None, np.log(components.PRIOR_MEDIANS), set()
     for basis, labels, trends, enough in _noise_supports(path):
         grouped = repeatability.Replicates.by(labels)
         if len(grouped.units) == 0:
