@@ -276,8 +276,8 @@ SIDE_SLIP: Final = "side_slip_s2_per_m"
 #: rubber on a smooth floor gives way by some hundredths of a radian at 1 m/s^2: 0.01 s^2/m
 UNDERSTEER_STD: Final = 0.05
 SIDE_SLIP_STD: Final = 0.02
-#: turns below this lateral acceleration slip by four milliradians, ten where ends do not tell that from wheelbase and
-#: steering scale: nothing to estimate
+#: turns below this lateral acceleration slip by four milliradians, or ten, which ends do not tell from wheelbase and
+#: steering scale
 SLIPS_MPS2, SLIPS_AT_ENDS_MPS2 = 0.2, 0.5
 #: share of all turning that may stay below it
 OFTEN: Final = 0.9

@@ -270,7 +270,7 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
             driven[run] = np.median(rates[rates > 0]) if np.ptp(way) > campaign.vehicle.wheel_radius_m else np.nan
     yield from _speed_note(float(np.nanmedian(driven)) if np.isfinite(driven).any() else 1.0)
     known = np.isfinite(ratios) & (ratios > 0)
-    # turns and pauses are slower than the set speed
+    # turns and pauses are slower than set
     if known.any() and not 0.4 < (usual := float(np.median(ratios[known]))) < 1.6:
         hint = "km/h look like m/s; name the column speed_kmh" if 0.22 < usual < 0.34 else "check speed and clock"
         text = f"the logs drive at {usual:.3g} times the set speed; {hint}"

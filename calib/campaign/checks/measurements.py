@@ -324,7 +324,7 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
     else:
         yield from _of_the_empty_vehicle(campaign, total, good)
     top, permitted = float(np.max(np.fmax(*weighed)[good])), vehicle.max_wheel_load_N
-    # a limit below the unladen load is wrong itself
+    # a limit below the unladen load is wrong
     if top > permitted > vehicle.unladen_load_N:
         text = f"""found wheel loads up to {top:.5g} N; {permitted:g} N is permitted; are payloads or loads in another
             unit (g, lb, N for kg), or is vehicle.max_wheel_load_N another?"""
