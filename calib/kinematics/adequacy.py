@@ -23,7 +23,7 @@ from calib.types import BoolArray, FloatArray, IntArray, StrArray, few_digits
 LACK_OF_FIT: Final = 3.0
 #: a residual below this share of distance or rotation is as small as wheel odometry gets (recordings: 0.1 to 0.5 %)
 SMALL_SHARE: Final = 0.005
-#: what leaves more of the error on held-out runs explains nothing
+#: what leaves more of the error held out explains nothing
 USELESS_SHARE: Final = 0.9
 #: where sessions differ, one calibration for all takes off three quarters of the mean square
 WORTH_SHARE: Final = 0.5

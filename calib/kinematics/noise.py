@@ -14,9 +14,9 @@ from calib.types import FloatArray
 
 #: of the weights in none to three channels: normal noise keeps its mean square
 NORMAL_GAIN: Final = np.array([1.0, 1.2382, 1.1846, 1.1469])
-#: steps: what the data tell well settles in half of them
+#: steps: most settles in half of them
 ROUNDS: Final = 100
-#: degrees of freedom with which possible variances have a mean
+#: degrees of freedom with which variances have a mean
 FEWEST_DOF: Final = 5
 #: scatter -> the walk that it is told from, and relative changes of the radii, left and right
 _SCATTERS: Final = {"radius_scatter": ("along_walk", (1.0, 1.0)), "yaw_scatter": ("heading_walk", (-0.5, 0.5))}
@@ -41,7 +41,8 @@ def noise_sizes(fitted: Fitted, stated: FloatArray) -> tuple[dict[str, float], d
     thinned = slice(None, None, max(1, len(segments) // NOISE_STRETCHES))
     seen, block, residuals = segments.seen[thinned], segments.block[thinned], _enlarged(fitted)[thinned]
     body, yaw_rad = model.motion(solution.values).body, float(solution.values[-2])
-    kernel = kernels(solution.prediction.path, body, segments, yaw_rad)[:, thinned]
+    whole = kernels(solution.prediction.path, body, segments, yaw_rad)
+    kernel = whole[:, thinned]
     size = seen.sum(axis=1)
     for _ in range(ROUNDS):
         inverse = np.linalg.inv(np.tensordot(scales, kernel, 1) + np.eye(3) * ~seen[:, None])
@@ -62,7 +63,7 @@ def noise_sizes(fitted: Fitted, stated: FloatArray) -> tuple[dict[str, float], d
     # uncertain by sqrt(2 / dof), an inverse chi squared: its mean is dof / (dof - 4) of
     expected = scales + variance_std * np.sqrt(8.0 * dof) / (dof - 4.0)
     estimated, further = (dict(zip(COMPONENTS, row, strict=True)) for row in np.sqrt([scales, expected]).tolist())
-    return estimated, _told_from_walks(fitted, further)
+    return estimated, _told_from_walks(fitted, further, whole)
 
 
 def _enlarged(fitted: Fitted) -> FloatArray:
@@ -79,15 +80,13 @@ def _enlarged(fitted: Fitted) -> FloatArray:
     return np.asarray(np.linalg.solve(solution.whitener, white)[:, :, 0])
 
 
-def _told_from_walks(fitted: Fitted, expected: Mapping[str, float]) -> dict[str, float]:
-    model, solution, out = fitted.model, fitted.solution, dict(expected)
-    segments, run = model.segments, np.unique(model.segments.run, return_inverse=True)[1]
+def _told_from_walks(fitted: Fitted, expected: Mapping[str, float], kernel: FloatArray) -> dict[str, float]:
+    segments, solution, out = fitted.model.segments, fitted.solution, dict(expected)
+    run = np.unique(segments.run, return_inverse=True)[1]
     if run.max() + 1 < ENOUGH_RUNS or not set(_RADII) <= set(fitted.parameters.free_names):
         return out
     at = [fitted.parameters.names.index(name) for name in _RADII]
     by_wheel = solution.prediction.jacobian[:, :, at] * solution.values[at]
-    body, yaw_rad = model.motion(solution.values).body, float(solution.values[-2])
-    kernel = kernels(solution.prediction.path, body, segments, yaw_rad)
     for name, (walk, shares) in _SCATTERS.items():
         columns = np.stack([by_wheel @ shares, solution.prediction.residuals], axis=2)
         rows: list[tuple[float, FloatArray, FloatArray]] = []

@@ -127,7 +127,7 @@ class Observations:
     #: shape (n_obs, 3): start in the frame common to all, else NaN
     start_pose: FloatArray
     #: shape (n_obs, 2, 5): error of headings from the course at start and end, rad a metre of the sensor's place (x, y)
-    #: and a second of delay; zero where measured
+    #: a second of delay, and of slip angles of -v^2 and -v times the curvature; zero where measured
     course_error: FloatArray
     common_frame: bool  #: whether places on the floor mean the same in all observations
     guided: BoolArray  #: shape (n_obs,): observations whose heading is that of a guided run, not a measured one
