@@ -279,7 +279,7 @@ SIDE_SLIP_STD: Final = 0.02
 #: turns below this lateral acceleration slip by four milliradians, or ten, which ends do not tell from wheelbase and
 #: steering scale
 SLIPS_MPS2, SLIPS_AT_ENDS_MPS2 = 0.2, 0.5
-#: share of all turning that may stay below it
+#: share of turning that may stay below
 OFTEN: Final = 0.9
 
 

@@ -15,11 +15,11 @@ from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray, IntArray
 #: variances of a displacement's covariance: of the reference's position and heading (m^2, rad^2), of the random walks
 #: of heading and distance (rad^2/m, m^2/m)
 COMPONENTS: Final = ("reference_xy", "reference_theta", "heading_walk", "along_walk")
-#: how far below its stated size one may fall
+#: how far below its stated size
 LEAST: Final = 1e-4
 #: readings at the stated size beside the data: of few runs a walk may fit all by chance
 STATED_READINGS: Final = np.array([1.0, 1.0, 0.0, 0.0])
-#: exponent of the step: 0.5 never lowers the likelihood but converges slowly
+#: exponent of the step: 0.5 never lowers the likelihood, slowly
 POWER: Final = 0.9
 
 
