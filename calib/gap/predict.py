@@ -52,7 +52,6 @@ class Path:
         """Yield observations some at a time, each time with the path of these alone; itself where steps are few."""
         for units, part in self._integrated():
             if part is not self:
-                # whether the track can be asked for is a matter of all observations
                 vars(part)["calibration"] = self.calibration[units]
             yield units, part
 

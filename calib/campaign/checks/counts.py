@@ -49,7 +49,6 @@ def steered_by_itself(campaign: Campaign) -> Iterator[Note]:
 
 def dead_counters(campaign: Campaign) -> Iterator[Note]:
     """Find wheels without a count while the vehicle moves."""
-    # no turn about the standing wheel
     runs, turn, reference = campaign.runs, checks.turned_rad(campaign), checks.reference_turns(campaign)[0]
     moved = np.abs(turn - reference) > 0.5 * np.abs(turn)
     moved |= (runs.number("distance_m") > 1.0) & np.isnan(reference)

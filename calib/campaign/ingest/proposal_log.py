@@ -205,7 +205,6 @@ def _plausible(
     joint = stream is not None and stream.kind.endswith("JointState")
     is_wheel = target.startswith("counts_")
     if is_wheel and not joint and len(stem_and_unit(column.name)[0]) <= _SHORT_NAME and not column.whole:
-        # `r` may be a range
         return False
     if stream is None:
         return column.kind == "number" or (target == "t_s" and column.kind == "time")

@@ -149,7 +149,6 @@ def _header_rows(rows: Sequence[Sequence[Any]], *, fixed: bool) -> int:
             break
         texts = [cell for cell in over if cell.lower() not in table.EMPTY]
         wide = len(texts) >= _TEXT_SHARE * len(numeric) > 0
-        # second names stand over numbers alone
         further = len(texts) > 1 and set(filled) <= set(numeric)
         if _holds_units(rows, at):
             return at + 1

@@ -273,7 +273,6 @@ def _cells(column: Any) -> tuple[np.ndarray[Any, Any], int | None]:
     import pyarrow as pa
 
     if column.type in (pa.float64(), pa.int64()) and not column.null_count:
-        # Arrow's functions take longer to import
         return _filled(column, np.nan).astype(np.float64, copy=False), None
     if pa.types.is_integer(column.type) or pa.types.is_floating(column.type):
         return _filled(column.cast(pa.float64(), safe=False), np.nan), None

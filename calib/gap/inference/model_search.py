@@ -242,7 +242,6 @@ def _weighed(local: LocalSearch, shifts: Mapping[str, tuple[str, ...]]) -> _Weig
         gained = weight + gain
         if none in likely or gained[is_noise, none].max() > gained.max() - _LIKELY_WINDOW:
             gains = np.stack([gain[:, none]] * 2)
-            # of noise alone, the calibration as believed
             gains[0, 0] = ScaleEvidence(local.system).gain(local.system.calibration[:, 3:])
             weight = gained
     weighting, over_free = local.weighting(), dict[int, float]()
