@@ -105,7 +105,6 @@ def refuse_existing(targets: Iterable[Path | str | None], *, force: bool = False
 
 
 def _rename(temporary: Path, path: Path, *, force: bool) -> None:
-    """Rename a file to its target; without `force` another writer's is kept."""
     if not force:
         try:
             os.link(temporary, path)
@@ -310,7 +309,6 @@ def _renew_inside(target: Path, names: Sequence[str], fill: Callable[[Path], Non
 
 
 def _move_in(fresh: Path, target: Path) -> None:
-    """Move complete entries into their folder, again after a kill."""
     import json
 
     moves = json.loads((fresh / _MOVES).read_text(encoding="utf-8"))

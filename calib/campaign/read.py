@@ -48,8 +48,7 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
 
     `folder`: holds ``campaign.toml``, ``runs.csv`` (or ``.xlsx``, ``.parquet``) and the logs that the table names, or
     ``logs/<run_id>.csv``; `lenient`: keep faults of single runs as notes of level ``wrong``. Missing wheel loads are
-    computed from the payload (Eqs 1 and 2), counts and distance taken from the logs, all in ``notes``. Raises
-    BadFileError, which names file, row and column.
+    computed from the payload (Eqs 1 and 2), counts and distance taken from the logs. Raises BadFileError.
     """
     folder = Path(folder)
     if not folder.is_dir():

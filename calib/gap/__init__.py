@@ -295,10 +295,7 @@ def _speed_at_end(s: Observations, way_m: FloatArray, duration_s: FloatArray) ->
 
 
 def _bend(s: Observations, turn: FloatArray) -> FloatArray:
-    """Return by how much the mean heading of each step differs from the mean of its ends, shape (n_steps,).
-
-    A parabola of headings by a twelfth of its second difference: matters at a few hertz.
-    """
+    """Return by how much the mean heading of each step differs from the mean of its ends, shape (n_steps,)."""
     bend = np.zeros(len(turn))
     bend[1:-1] = (turn[:-2] - turn[2:]) / 24.0
     bend[s.starts[:-1]] = 0.0

@@ -159,7 +159,6 @@ def _as_wide(wheel: WheelSection, believed: WheelSection) -> WheelSection:
 
 
 def _sensor(diagnosis: Diagnosis, stated: Reference) -> dict[str, float]:
-    """Return the sensor's place and yaw where found or believed elsewhere."""
     situation = diagnosis.arrays.situation
     for fault in situation.faults:
         if isinstance(fault, TurnedReference) and (fault.mirrored or fault.clockwise):

@@ -34,7 +34,7 @@ def noise_sizes(fitted: Fitted, stated: FloatArray) -> tuple[dict[str, float], d
 
     `stated`: variances by the settings, shape (4,). The estimate is of residuals enlarged by what the parameters took
     of each block (Bell and McCaffrey). To expect is the mean of the variances possible, with the relative scatter of
-    radii from run to run, told from walks by `ENOUGH_RUNS`: it grows with the way, a walk with its root.
+    radii from run to run, told from walks by `ENOUGH_RUNS`.
     """
     model, solution = fitted.model, fitted.solution
     segments, scales = model.segments, solution.scales

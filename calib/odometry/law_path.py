@@ -305,8 +305,6 @@ def law_journey(
 ) -> Journey:
     """Simulate a journey under a law, without and with the correction; see `Journey`.
 
-    Wheels fitted apart err independently; radii and track fitted together, as their joint covariance says.
-
     `loads_N`, `reference_N`: loads (left, right) carried, and those of the uncorrected odometry; `band`: uncertainty of
     the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not known, also of
     single runs whose scatter was not estimated, or `draws` below 100.

@@ -259,8 +259,8 @@ def _running(variance: FloatArray, direction: FloatArray) -> FloatArray:
 def ellipses(covariance: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the error ellipses of positions, which hold 95 %: both semi-axes in m, the major one first, each (...).
 
-    The third is the major axis' direction from the x axis in rad, in (-pi/2, pi/2]. `covariance`: of poses, shape
-    (..., 3, 3) or (..., 2, 2), x and y in m^2 first.
+    The third is the major axis' direction in rad, in (-pi/2, pi/2]. `covariance`: of poses, shape (..., 3, 3) or
+    (..., 2, 2), x and y in m^2 first.
     """
     c = floats(covariance)
     mean, half = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])

@@ -164,18 +164,14 @@ def strengths(
     if not weigh:
         return Strength((), (), change, cov, absorbed)
     taken_up = [None if is_calibration(cause) else absorbed for cause in causes]
-    alone = tuple(_alone(one, cov, by) for one, by in zip(change, taken_up, strict=True))
+    both = [(strength(one, cov, None), strength(one, cov, by)) for one, by in zip(change, taken_up, strict=True)]
+    alone = tuple(left if left > _ABSORBED * whole else whole for whole, left in both)
     beside = list(alone)
     for number, by in enumerate(taken_up) if n_causes > 1 else ():
         others = np.nan_to_num(np.moveaxis(np.delete(change, number, axis=0), 0, -1))
         directions = others if by is None else np.concatenate([by, others], axis=2)
         beside[number] = strength(change[number], cov, directions)
     return Strength(alone, tuple(beside), change, cov, absorbed)
-
-
-def _alone(change: FloatArray, cov: FloatArray, absorbed: FloatArray | None) -> float:
-    whole, left = strength(change, cov, None), strength(change, cov, absorbed)
-    return left if left > _ABSORBED * whole else whole
 
 
 def to_signal(

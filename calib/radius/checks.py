@@ -8,7 +8,7 @@ from scipy.special import fdtrc, stdtrit
 
 from calib.campaign.checks import direction_sign, partial_slope
 from calib.radius import Groups, breusch_pagan, deletion_effect, groups_of, outliers
-from calib.radius.order import ROUNDING, aliasing_with_load, order_check
+from calib.radius.order import ROUNDING, aliasing_with_load, order_check, step_check
 from calib.radius.regression import (
     FAILED,
     NOTE,
@@ -59,7 +59,7 @@ def with_checks(fit: WheelFit, session: StrArray, direction: StrArray, run_id: S
     residual = groups.within(fit.residual_m) if 2 <= len(groups) < n else fit.residual_m - fit.residual_m.mean()
     dof = float(n - groups.indicators.shape[1] - (fit.model == "line" and fit.design != "confounded"))
     runs = _Residuals(fit, groups, fit.load_N - fit.load_N.mean(), residual, dof, session, direction, run_id)
-    checks = [_design(fit, groups), _session(fit, groups), order_check(fit, session)]
+    checks = [_design(fit, groups), _session(fit, groups), order_check(fit, session), step_check(fit, session, run_id)]
     if fit.model == "line":
         checks += [_range(fit), _same_law(runs), _lack_of_fit(runs), _curvature(runs), _equal_scatter(runs)]
     checks += [_session_influence(fit, groups), _influence(runs), _normality(runs), _direction(runs)]

@@ -4,10 +4,11 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
 from calib.campaign.checks import MAX_LOAD_R2, covariate_against_load, partial_slope
 from calib.radius import groups_of
-from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, OK, UM, Check, WheelFit, p_check, t_check
+from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, NOTE_BELOW, OK, UM, Check, WheelFit, p_check, t_check
 from calib.types import FloatArray, StrArray, floats
 
 #: largest widening of a slope's interval by autocorrelation that passes: at a correlation of 0.8 and ascending loads it
@@ -77,3 +78,36 @@ def _first_runs(fit: WheelFit, session: StrArray, first: FloatArray, follow: str
     ).strip()
     check = t_check("order", off, sd if dof >= MIN_SLOPE_DOF else np.inf, dof, ("", finding))
     return replace(check, level=FAILED) if beyond and check.level == NOTE else check
+
+
+def step_check(fit: WheelFit, session: StrArray, run_id: StrArray) -> Check | None:
+    """Return the check of a step between two sessions, or runs without sessions; None where a drift explains it."""
+    groups, n = groups_of(session), len(session)
+    grouped = 2 <= len(groups) < n
+    y = groups.means(fit.residual_m) if grouped else fit.residual_m
+    y, k = y - y.mean(), len(y)
+    drift = np.arange(k) - 0.5 * (k - 1)
+    dof = k - 2 - (fit.model == "line" and not grouped)
+    if fit.design == "confounded" or dof < 2:
+        return None
+    before = np.arange(1, k)
+    norm, total = before * (1.0 - before / k), np.cumsum(y)[:-1]
+    gain = total**2 / norm
+    cut = int(np.argmax(gain))
+    left, drifting = float(y @ y - gain[cut]), float(y @ y - (y @ drift) ** 2 / (drift @ drift))
+    # likelihood of a steady drift against that of the best of the steps
+    if left <= 0.0 or (left / drifting) ** (k / 2) * len(norm) > NOTE_BELOW:
+        return None
+    first, size = int(np.argmax(groups.index > cut)) if grouped else cut + 1, -float(total[cut] / norm[cut])
+    ends = " and ".join((groups.names if grouped else run_id)[cut : cut + 2])
+    finding = (
+        f"The radius steps by {UM * size:+.3g} um ({100 * size / fit.law.radius_ref_m:+.2g} %) between {ends}: another "
+        "wheel, tyre or encoder, or a rangefinder remounted. The law is a mean of both; exclude the runs before "
+        f"{run_id[first]}, or from it on, and fit again."
+    )
+    # off by more than a further run scatters
+    fails = 0.5 * abs(size) > (fit.run_std_m if grouped else (left / dof) ** 0.5) * stdtrit(dof, 0.975)
+    t = size * float(norm[cut] * dof / left) ** 0.5
+    p_value = min(float(len(norm) * 2.0 * stdtr(dof, -abs(t))), 1.0)
+    check = p_check("step", t, f"t({dof})", p_value, ("", finding), fails=fails)
+    return check if check.level != OK else None

@@ -58,18 +58,16 @@ def interactive_panels(diagnosis: Diagnosis, campaign: Campaign) -> str:
     columns = panel_columns(gap, along, run_paths(diagnosis, campaign), COLOURS)
     layout = _layout(gap, along, ColumnDataSource(columns, name="observations"), diagnosis)
     script, div = components(layout, wrap_script=False)
-    packed = "\n".join(map(_packed, [*resources.js_raw, script]))
+    data = [gzip.compress(one.encode("utf-8"), 9, mtime=0) for one in [*resources.js_raw, script]]
+    packed = "\n".join(
+        f'<script type="application/gzip">{base64.b64encode(one).decode("ascii")}</script>' for one in data
+    )
     return f"{div}\n{packed}\n<script>{_script('unpack')}</script>"
 
 
 def _script(name: str) -> str:
     scripts = (files("calib.reporting") / "panels.js").read_text(encoding="utf-8")
     return scripts.partition(f"//: {name}\n")[2].partition("//: ")[0]
-
-
-def _packed(script: str) -> str:
-    data = base64.b64encode(gzip.compress(script.encode("utf-8"), 9, mtime=0)).decode("ascii")
-    return f'<script type="application/gzip">{data}</script>'
 
 
 def _layout(gap: GapArrays, along: list[FloatArray], source: ColumnDataSource, verdict: Diagnosis) -> Model:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
 from calib.radius import groups_of, stratified_line, widened
 from calib.radius.checks import with_checks
-from calib.radius.regression import FAILED, NOTE, OK, WheelFit, fit_wheel
-from calib.types import FloatArray
+from calib.radius.order import step_check
+from calib.radius.regression import FAILED, NOTE, OK, Check, WheelFit, fit_wheel
+from calib.types import BoolArray, FloatArray
 
 RADIUS_M, SLOPE_M_PER_N, REFERENCE_N, SCATTER_M = 0.1, 1.3e-6, 300.0, 1.6e-5
 LOADS_N = np.array([300.0, 500.0, 700.0, 900.0, 1100.0])
@@ -120,3 +123,43 @@ def test_loads_that_follow_the_order_are_in_no_interval_however_alike_runs_scatt
     said = [check.sentence for fit in fits for check in fit.checks if check.name == "order" and check.level == NOTE]
     assert any("scatter alike" in text for text in said)
     assert all("looks like load" in text and "allow for it" not in text for text in said)
+
+
+@pytest.mark.parametrize(("labelled", "load"), [(True, "crossed"), (False, "crossed"), (True, "one")])
+def test_a_wheel_that_was_changed_is_named_with_sessions_and_size(labelled: bool, load: str) -> None:
+    """The size is that of the runs after less those before, written out; neither half has a step."""
+    rng, n_sessions, n = np.random.default_rng(5), 6, 10
+    loads = np.concatenate([rng.permutation(np.repeat(LOADS_N, 2)) for _ in range(n_sessions)])
+    loads = loads if load == "crossed" else np.full(loads.shape, 300.0)
+    session = np.repeat([f"s{one}" for one in range(n_sessions)], n) if labelled else np.full(n_sessions * n, "")
+    run_id, after = np.arange(len(loads)).astype(str), np.arange(len(loads)) >= 3 * n
+    level = RADIUS_M + SLOPE_M_PER_N * (loads - REFERENCE_N) + SCATTER_M * rng.normal(size=len(loads))
+
+    def steps(chosen: BoolArray, radius: FloatArray) -> list[Check]:
+        fit = fit_wheel("left", loads[chosen], radius[chosen], session[chosen], reference_load_N=REFERENCE_N)
+        checks = with_checks(fit, session[chosen], np.full(int(chosen.sum()), ""), run_id[chosen]).checks
+        return [one for one in checks if one.name == "step"]
+
+    (check,) = steps(after | True, level + 4e-4 * after)
+    assert check.level == FAILED
+    assert ("between s2 and s3" if labelled else "between 29 and 30") in check.sentence
+    assert (
+        abs(float(re.findall(r"steps by (\S+) um", check.sentence)[0]) - 400.0)
+        < 3.0 * 1e6 * SCATTER_M * (2 / 30) ** 0.5
+    )
+    assert not [*steps(after | True, level), *steps(after, level + 4e-4 * after), *steps(~after, level)]
+
+
+def test_sessions_that_scatter_or_drift_have_no_step() -> None:
+    """A steady wear is no step, and chance is one in a hundred at most: 200 wheels, 3 standard deviations above."""
+    rng, said = np.random.default_rng(6), 0
+    for number in range(200):
+        session = np.repeat(np.arange(6), 5)
+        radius = RADIUS_M + SLOPE_M_PER_N * np.tile(LOADS_N - REFERENCE_N, 6) + SCATTER_M * rng.normal(size=30)
+        radius += 5e-5 * (session / 5.0 if number % 2 else rng.normal(size=6)[session])
+        labels = session.astype(str)
+        fit = fit_wheel("left", np.tile(LOADS_N, 6), radius, labels, reference_load_N=REFERENCE_N)
+        check = step_check(fit, labels, labels)
+        assert check is None or check.level == NOTE
+        said += check is not None
+    assert said <= 200 * (0.01 + 3 * (0.01 * 0.99 / 200) ** 0.5)

@@ -146,7 +146,6 @@ def _guessed_in_log(name: str) -> str | None:
 
 
 def _wheel_of(name: str) -> str | None:
-    """Return the wheel of a name with a side and what turns: ``left_wheel_angle``."""
     parts, (stem, unit) = _names()["parts"], stem_and_unit(name)
     measures, words = SUFFIXES[unit][0] if unit else "", stem.split("_")
 

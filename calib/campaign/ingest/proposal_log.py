@@ -62,7 +62,11 @@ def log_lines(logs: Sequence[FileContents]) -> list[str]:
         return _lines_of_several(several, logs)
     log = max(logs, key=lambda file: (file.recording, len(file.columns)))
     lines, chosen = _column_lines(log, _with_bits(log, [other for other in logs if other.alike(log)]))
-    return [*lines, *_missing(lines, chosen, logs), *_kinds(logs)]
+    lines += _missing(lines, chosen, logs)
+    kinds = {tuple(column.name for column in log.columns) for log in logs if not log.recording}
+    if len(kinds) > 1:
+        lines.append(f"# {len(kinds)} kinds of logs: those of a run are joined by files = {{...}}")
+    return lines
 
 
 def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileContents]) -> list[str]:
@@ -289,16 +293,12 @@ def _coupled(front: ColumnContents, rear: ColumnContents) -> bool:
     return max(abs((front.low or 0.0) - (rear.low or 0.0)), abs(front.span - rear.span)) <= _COUPLED_SHARE * span
 
 
-def _is_angle(column: ColumnContents) -> bool:
-    return column.whole or column.span > 2.0 * math.pi
-
-
 def _by_behaviour(chosen: dict[str, ColumnContents], columns: Sequence[ColumnContents]) -> str:
     rising = [column for column in columns if column.does == guesses.RISES]
     kinds = {
         "overflows": [column for column in columns if column.whole and column.wrap_bits],
         "rises in whole numbers": [column for column in rising if column.whole and not column.even],
-        "rises": [c for c in rising if _is_angle(c)]
+        "rises": [c for c in rising if c.whole or c.span > 2.0 * math.pi]
         if all(UNNAMED.fullmatch(column.name) for column in columns)
         else [],
     }
@@ -347,8 +347,3 @@ def _missing(lines: Sequence[str], chosen: dict[str, ColumnContents], logs: Sequ
             "#   of speeds speed_left_mps, speed_right_mps; speed_rear_mps, steer_rad; or v_mps, omega_radps",
         ]
     return out
-
-
-def _kinds(logs: Sequence[FileContents]) -> list[str]:
-    kinds = {tuple(column.name for column in log.columns) for log in logs if not log.recording}
-    return [f"# {len(kinds)} kinds of logs: those of a run are joined by files = {{...}}"] if len(kinds) > 1 else []

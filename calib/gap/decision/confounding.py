@@ -199,7 +199,6 @@ def as_probable(evidence: Evidence, groups: Sequence[Sequence[str]]) -> set[str]
 
 
 def _ends(evidence: Evidence, fitted: Fitted) -> FloatArray:
-    """Return end positions (n, 2) of journeys to come under a correction, else of the runs driven."""
     journeys, about = evidence.journeys, fitted.path
     if journeys is None:
         path = hypothesis_path(about.s, fitted.calibration, fitted.forms, fitted.theta, about)

@@ -126,8 +126,7 @@ def without_refuted(evidence: Evidence, groups: Sequence[Sequence[str]]) -> list
 def _is_predicted(evidence: Evidence, effect: str) -> bool:
     """Return whether a cause closes whole sessions held out, paired with the fit of the others alone.
 
-    By F, as what few sessions share may be chance. Not of what may have been set with the session, or follows their
-    order as steps that last do.
+    By F, as few may share chance. Not of what may have been set with the session, or follows their order.
     """
     from scipy.special import fdtrc
 
@@ -214,8 +213,8 @@ class SizeDifference:
 def size_differences(evidence: Evidence, effects: Collection[str]) -> dict[str, SizeDifference]:
     """Return, by effect, those whose sizes differ between groups of runs.
 
-    A cause's contribution is given a further factor on each group, beside recalibration and fitted effects (a test of
-    parameter constancy: Chow, Econometrica 28, 1960). The covariance holds the lack of fit and deviations from the
+    A cause's contribution is given a further factor on each group, beside recalibration and fitted effects (Chow,
+    Econometrica 28, 1960). The covariance holds the lack of fit and deviations from the
     form. The statistic follows F; levels are divided by the number of tests. None is what an effect beside accounts
     for, by a test of its own, the only one.
     """
@@ -326,7 +325,6 @@ def unchecked(evidence: Evidence, causes: Sequence[Cause]) -> dict[str, str]:
 
 
 def _between_samples(evidence: Evidence, names: Collection[str]) -> dict[str, str]:
-    """Return causes whose part is mostly within what the steering may do between samples."""
     seen, blocks = evidence.observations, evidence.left_out.weighting.system.blocks
     if not seen.by_front:
         return {}

@@ -261,10 +261,9 @@ def _small(
 
 
 def _form_errors(evidence: Evidence, causes: Sequence[Cause]) -> tuple[str, ...]:
-    """Return the causes whose part a second form of a larger cause explains as well.
+    """Return the causes whose part a second form of a larger one explains: a play between two on offer leaves some.
 
-    A play between two on offer leaves what looks like a smaller cause. No error is what acts the other way, or a cause
-    of its family.
+    Not of its family, nor what acts the other way.
     """
     if len(causes) < 2:
         return ()

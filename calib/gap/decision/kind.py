@@ -83,10 +83,8 @@ def kind_of(
     ----------
     gap_probability, causes, closure
         Of any gap; what would be named; on held-out runs.
-    incomplete
-        Whether the correction fails on held-out runs, or a large cause differs in size between groups.
-    unexplained_share
-        Share of the gap that no cause explains; none is probable by default.
+    incomplete, unexplained_share
+        Whether the correction fails there, or a large cause differs between groups; what no cause explains.
     tied
         Whether a more than small cause is confounded with an effect of another family.
     supported

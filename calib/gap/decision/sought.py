@@ -289,8 +289,7 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
     """Return the few recordings, by id, each its share off, that are off by themselves.
 
     Outliers of a joint estimate that fits all others, else the one that is three times as far off as any other once
-    these are recalibrated: no cause that acts in all does that. Not the first or last one driven that goes on where the
-    others tend to, as tyres warm up.
+    these are recalibrated. Not the first or last that goes on where the others tend to, as tyres warm up.
     """
     from calib.kinematics.estimate import estimate_geometry
 

@@ -266,8 +266,8 @@ def misfit(path: Path, nominal: Path | None = None, *, by_kind: bool = False, by
     """Return how far each observation is off, as a share of its length and of its turns, 1 at most, shape (n_obs,).
 
     The length is the way driven, or from start to end where that is more; turns of less than a radian count as one.
-    Simulated motion: by the change from the `nominal` path. `by_kind`: way and turns of the middle run of its kind;
-    `by_extent`: of a run that ends away from its start, that distance, and a radian.
+    Simulated motion: by the change from the `nominal` path. `by_kind`: of the middle run of its kind; `by_extent`: by
+    the distance of a run that ends away from its start, and a radian.
     """
     observations = path.s
     about = path if nominal is None or not np.isfinite(observations.simulated).any() else nominal

@@ -92,7 +92,7 @@ def find_turned(nominal: Path) -> TurnedReference | None:
     """Return the large angle by which the reference is turned; None where it explains too little.
 
     A sensor at the place l on the vehicle and turned by psi sees the end z of a run that turned by theta as
-    ``exp(-i psi) (z + (exp(i theta) - 1) l)``: least squares in two complex unknowns; mirrored axes see the conjugate.
+    ``exp(-i psi) (z + (exp(i theta) - 1) l)``: mirrored axes see the conjugate.
     """
     from scipy.special import fdtri
 

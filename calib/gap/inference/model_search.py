@@ -77,7 +77,8 @@ def search(
         Called before each pass.
     """
     shifts = {effect.id: effect.own_shifts for effect in effects}
-    forms = _forms_on_offer(nominal, effects) if start is None else start.forms
+    own = {effect.id: effect.forms(nominal.s) for effect in effects if start is None and not effect.calibration}
+    forms = {name: offered for name, offered in own.items() if offered} if start is None else start.forms
     all_forms = [form for offered in forms.values() for form in offered]
     alone = LinearSystem(base, nominal, noise, all_forms)
     initial = LocalSearch(alone)
@@ -129,11 +130,6 @@ def _begun_anew(initial: LocalSearch, converge: Callable[..., _Settled]) -> _Set
     best = max(starts, key=lambda start: np.nan_to_num(start.evidence(), nan=-np.inf))
     ended = converge(copy(initial), largest_scale=_SMALL_LACK_OF_FIT), converge(best)
     return max(ended, key=lambda end: end[0].evidence())
-
-
-def _forms_on_offer(nominal: Path, effects: Sequence[Effect]) -> dict[str, list[Form]]:
-    forms = {effect.id: effect.forms(nominal.s) for effect in effects if not effect.calibration}
-    return {name: offered for name, offered in forms.items() if offered}
 
 
 def _begin_at(start: SearchResult | None, initial: LocalSearch) -> Fitted:

@@ -117,11 +117,6 @@ def quantisation(path: Path) -> FloatArray:
     return covariance
 
 
-def _fixed_noise(path: Path) -> FloatArray:
-    start = _start_turn(path) * path.s.sigma_start_rad[:, None]
-    return quantisation(path) + start[:, :, None] * start[:, None, :]
-
-
 def masked(covariance: FloatArray, usable: BoolArray) -> FloatArray:
     """Give missing channels unit variance and no correlation."""
     kept = np.where(usable[:, :, None] & usable[:, None, :], covariance, 0.0)
@@ -151,7 +146,8 @@ class NoiseComponents:
         usable, shapes = path.s.usable, kernels(path)
         both = (usable[:, :, None] & usable[:, None, :]).astype(np.float64)
         active = np.array([bool((np.abs(shape) * both).sum() > 0) for shape in shapes])
-        return NoiseComponents(shapes, _fixed_noise(path), usable, active)
+        start = _start_turn(path) * path.s.sigma_start_rad[:, None]
+        return NoiseComponents(shapes, quantisation(path) + start[:, :, None] * start[:, None, :], usable, active)
 
     def covariance(self, log_scale: FloatArray, weight: FloatArray) -> FloatArray:
         """Return the covariance of each unit, shape (n_units, 6, 6)."""

@@ -127,8 +127,6 @@ def weigh_subsets(
 ) -> SubsetWeights:
     """Weigh the subsets of the calibration's parameters beside some forms.
 
-    A shift up to `ATTRIBUTED_SHIFT_SHARE` times an effect's size counts as its own: it may be centred elsewhere.
-
     Parameters
     ----------
     system
@@ -136,10 +134,8 @@ def weigh_subsets(
         Forms, by their numbers in the system.
     sizes
         Size of each, in typical sizes.
-    values : shape (3,)
-        Relative size of each calibration parameter, all free.
-    covariance : shape (4 + n_parameters, 4 + n_parameters)
-        Of left radius, right radius, track and front radius, relative, and the sizes.
+    values, covariance
+        Relative size of each calibration parameter, all free, shape (3,); with front radius and sizes.
     shifts
         Calibration parameters that another zero point of each effect would look like.
     gains : shape (2, n_scales)

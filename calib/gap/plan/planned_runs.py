@@ -136,7 +136,7 @@ def default_candidates(
     """Return candidates over routes, directions, payloads and their place, speeds, temperatures and dwell.
 
     `dimensions`: of routes and speeds; usual ones by default. Without motion capture `loops` close on a mark, `tape`
-    measures corridors. The largest payload is the campaign's, else twice the vehicle's mass.
+    measures corridors. Payloads reach the campaign's largest, else twice the vehicle's mass.
     """
     dimensions = dimensions or Dimensions()
     carried_kg = float(np.nan_to_num(campaign.runs.number("payload_kg")).max(initial=0.0))

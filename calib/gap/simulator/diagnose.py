@@ -66,8 +66,6 @@ class SimulatorDiagnosis:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rival:
-    """Causes that explain the gap by themselves."""
-
     names: frozenset[str]
     score: float  #: squares left, and log n a parameter (Schwarz, Annals of Statistics 6, 1978)
     named: Mapping[str, Declared]
