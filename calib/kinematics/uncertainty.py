@@ -355,7 +355,7 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     """Return the covariance, clustered by run or block, session or route.
 
     Runs of one session, or of one route, whose scores are correlated form one group each, and those of sessions that
-    differ. The grouping of the widest intervals is used; of runs none is narrower than by the noise.
+    differ. The grouping of the widest intervals is used; none is narrower than by the noise.
     """
     free = parameters.free
     _, first, block = np.unique(segments.block, return_index=True, return_inverse=True)

@@ -73,7 +73,6 @@ def _squares(design: FloatArray, y: FloatArray) -> tuple[float, int]:
 
 
 def _f_test(line: FloatArray, more: FloatArray, y: FloatArray) -> tuple[float, str, float] | None:
-    # of columns beside others; None where nothing is left
     (reduced, rank), (full, rank_full) = _squares(line, y), _squares(np.column_stack((line, more)), y)
     dof_more, dof = rank_full - rank, len(y) - rank_full
     if dof_more < 1 or dof < 3 or full <= 0.0:
@@ -356,7 +355,6 @@ def _against_naive(fit: WheelFit) -> str:
     aware, naive = (float(estimate.half_width((0.0, 1.0))) for estimate in (fit.estimate, fit.naive))
     if naive <= 0 or aware <= 0:
         return ""
-    # a difference below 5 % is not worth a figure
     wide = "as wide as this one" if abs(naive / aware - 1.0) < 0.05 else f"{few_digits(naive / aware, 2)} times as wide"
     return f" Counting every run as independent would give a slope interval {wide}."
 
@@ -368,7 +366,6 @@ def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
     change = np.zeros(len(groups))
     for session in range(len(groups)):
         others = groups.index != session
-        # runs of one load have no slope
         if np.ptp(x[others]) > 1e-3 * np.ptp(x):
             change[session] = np.polyfit(x[others], y[others], 1)[0]
     if not change.any():

@@ -81,33 +81,36 @@ def _first_runs(fit: WheelFit, session: StrArray, first: FloatArray, follow: str
 
 
 def step_check(fit: WheelFit, session: StrArray, run_id: StrArray) -> Check | None:
-    """Return the check of a step between two sessions, or runs without sessions; None where a drift explains it."""
+    """Return the check of a step between two sessions, or runs without sessions, or of a steady drift over all."""
     groups, n = groups_of(session), len(session)
     grouped = 2 <= len(groups) < n
     y = groups.means(fit.residual_m) if grouped else fit.residual_m
     y, k = y - y.mean(), len(y)
-    drift = np.arange(k) - 0.5 * (k - 1)
     dof = k - 2 - (fit.model == "line" and not grouped)
     if fit.design == "confounded" or dof < 2:
         return None
-    before = np.arange(1, k)
-    norm, total = before * (1.0 - before / k), np.cumsum(y)[:-1]
-    gain = total**2 / norm
-    cut = int(np.argmax(gain))
-    left, drifting = float(y @ y - gain[cut]), float(y @ y - (y @ drift) ** 2 / (drift @ drift))
-    # likelihood of a steady drift against that of the best of the steps
-    if left <= 0.0 or (left / drifting) ** (k / 2) * len(norm) > NOTE_BELOW:
+    before, drift = np.arange(1, k), np.arange(k) / (k - 1) - 0.5
+    norm = np.append(before * (1.0 - before / k), drift @ drift)
+    sizes = np.append(-np.cumsum(y)[:-1], y @ drift) / norm
+    left = np.maximum(y @ y - sizes**2 * norm, 0.0)
+    cut, names = int(np.argmin(left[:-1])), groups.names if grouped else run_id
+    best = cut if left[cut] < left[-1] else -1
+    # likelihood of a drift against that of the best of the steps, or of this against that
+    if left[best] <= 0.0 or (left[best] / left[[cut, -1]].max()) ** (k / 2) * len(before) > NOTE_BELOW:
         return None
-    first, size = int(np.argmax(groups.index > cut)) if grouped else cut + 1, -float(total[cut] / norm[cut])
-    ends = " and ".join((groups.names if grouped else run_id)[cut : cut + 2])
-    finding = (
-        f"The radius steps by {UM * size:+.3g} um ({100 * size / fit.law.radius_ref_m:+.2g} %) between {ends}: another "
-        "wheel, tyre or encoder, or a rangefinder remounted. The law is a mean of both; exclude the runs before "
-        f"{run_id[first]}, or from it on, and fit again."
-    )
+    size = float(sizes[best])
+    said = f"by {UM * size:+.3g} um ({100 * size / fit.law.radius_ref_m:+.2g} %)"
+    if best < 0:
+        said = f"drifts {said} from {names[0]} to {names[-1]}, as by wear. The law is a mean: fit what was driven last"
+    else:
+        first = run_id[np.argmax(groups.index > cut)] if grouped else names[cut + 1]
+        said = (
+            f"steps {said} between {names[cut]} and {names[cut + 1]}: another wheel, tyre or encoder, or a rangefinder "
+            f"remounted. The law is a mean of both: exclude the runs before {first}, or from it on, and fit again"
+        )
     # off by more than a further run scatters
-    fails = 0.5 * abs(size) > (fit.run_std_m if grouped else (left / dof) ** 0.5) * stdtrit(dof, 0.975)
-    t = size * float(norm[cut] * dof / left) ** 0.5
-    p_value = min(float(len(norm) * 2.0 * stdtr(dof, -abs(t))), 1.0)
-    check = p_check("step", t, f"t({dof})", p_value, ("", finding), fails=fails)
+    fails = 0.5 * abs(size) > (fit.run_std_m if grouped else (left[best] / dof) ** 0.5) * stdtrit(dof, 0.975)
+    t = size * float(norm[best] * dof / left[best]) ** 0.5
+    p_value = min(float((len(before) if best >= 0 else 1) * 2.0 * stdtr(dof, -abs(t))), 1.0)
+    check = p_check("step", t, f"t({dof})", p_value, ("", f"The radius {said}."), fails=bool(fails))
     return check if check.level != OK else None

@@ -139,7 +139,6 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
     odd = np.isfinite(turns) & (turns != 0.0)
     few = odd.sum() <= MOST_ODD * np.isfinite(turns).sum()
     for _, runs in checks.runs_by_label(campaign.runs.label("session")) if few else ():
-        # a session off by no whole turns has another unit or sign
         for run in runs[odd[runs]] if np.isinf(turns[runs]).mean() <= MOST_ODD else ():
             text = f"the heading is {turns[run]:+.0f} turn(s) off what the wheels say"
             text = f"{text}; correct the cell, or omit a run that lost counts"
@@ -287,7 +286,6 @@ _COPIED: Final = 0.25
 def copied_distances(campaign: Campaign) -> Iterator[Note]:
     """Find distances that were computed from the wheels' counts, as an odometer's."""
     distance, radii = campaign.runs.number("distance_m"), [raw_radius_ratio(campaign, side) for side in SIDES]
-    # wheels of opposite sense cancel
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(campaign.runs.label("loop") != CLOSED, 2.0 / (1.0 / radii[0] + 1.0 / radii[1]), np.nan)
     known = np.isfinite(ratio)
