@@ -29,7 +29,7 @@ from calib.gap.effects.encoder import (
     misfit,
 )
 from calib.gap.effects.library import with_effects
-from calib.gap.effects.mounting import MIN_TURN_RAD, RESTATED, Mounting, Restated, TurnedReference, find_turned
+from calib.gap.effects.mounting import RESTATED, Mounting, Restated, TurnedReference, find_turned
 from calib.gap.effects.reference import ReferenceLatency, ReferenceYaw
 from calib.gap.effects.simulator import as_simulated
 from calib.gap.effects.steering import steering_blunder
@@ -119,7 +119,8 @@ class Sought:
         offered, best, least = {effect.id: effect for effect in effects}, tuple[Mounting, ...](), np.inf
         for names in (chosen for n in range(1, len(sizes) + 1) for chosen in combinations(sizes, n)):
             bent = np.sum([error[:, :, RESTATED[name][1]] @ sizes[name] for name in names], axis=0)
-            if np.abs(bent).max() >= MIN_TURN_RAD:
+            # what noise hides needs no other course
+            if (np.abs(bent) > situation.observations.sigma[:, [Channel.HEADING]]).any():
                 new = [RESTATED[name][0](sizes[name], 0.0 * sizes[name], calibrated(likely[name])) for name in names]
                 mounted, misfit = self._settled(campaign, (*known, *new), searched, offered)
                 shown = tuple(fault for fault in mounted if not isinstance(fault, Restated) or fault.is_shown)

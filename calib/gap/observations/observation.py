@@ -171,7 +171,7 @@ class CourseOverGround(ReferencePoses):
     place_m: FloatArray  #: shape (2,): the sensor's place on the vehicle
     sigma_xy_m: float
     way_m: float  #: of a course
-    velocity_mps: ComplexArray  #: shape (n_poses,): of the vehicle by its wheels, x + i y
+    velocity_mps: ComplexArray  #: shape (n_poses,): of the sensor by the wheels, x + i y
     turn_rate_rad_per_s: FloatArray  #: shape (n_poses,): by the wheels
     slips_m: ComplexArray  #: shape (n_poses, 2): way aside by slip angles of -v^2 and -v times the curvature
 
@@ -241,7 +241,8 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
         way = max(1.5 * model.track_m, COURSE_SIGMAS * reference.sigma_xy_m)
         by_wheels = _by_wheels(left, right, model.track_m, aside)[valid]
         lasts_s = np.gradient(log["t_s"][rows]) if "t_s" in log else np.full(len(rows), np.inf)
-        velocity_mps = np.gradient(by_wheels[:, 0] + 1j * by_wheels[:, 1]) / lasts_s
+        axle_m, ahead = by_wheels[:, 0] + 1j * by_wheels[:, 1], np.exp(1j * by_wheels[:, 2])
+        of_sensor_m = axle_m + complex(reference.sensor_x_m, reference.sensor_y_m) * ahead
         # in the frame of its start a sensor on the axle needs no heading
         on_axle = (reference.sensor_x_m, reference.sensor_y_m) == (0.0, 0.0)
         return CourseOverGround(
@@ -251,9 +252,9 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
             in_map=setup.in_map,
             from_first=not (reference.frame == "start" and on_axle),
             by_wheels=by_wheels,
-            velocity_mps=velocity_mps,
+            velocity_mps=np.gradient(of_sensor_m) / lasts_s,
             turn_rate_rad_per_s=np.gradient(by_wheels[:, 2]) / lasts_s,
-            slips_m=_slips_m(velocity_mps, by_wheels[:, 2]),
+            slips_m=_slips_m(np.gradient(axle_m) / lasts_s, by_wheels[:, 2]),
             place_m=np.array([reference.sensor_x_m, reference.sensor_y_m]),
             sigma_xy_m=reference.sigma_xy_m,
             way_m=min(way, COURSE_SHARE * float(travelled[-1])),
