@@ -309,11 +309,11 @@ class Campaign:
     notes
         What was recognised and converted while reading.
     hashes
-        SHA-256 of every file read, by path in the folder.
+        SHA-256 of each file, by its path in the folder.
     extra
-        Sections of ``campaign.toml`` that the contract does not name, as read (``effects`` for one).
+        Further sections of ``campaign.toml``, as read (``effects``).
     assumed
-        Keys of ``campaign.toml`` that a program filled in (``rangefinder.sigma_m``).
+        Keys of it that a program filled in (``rangefinder.sigma_m``).
     """
 
     root: Path | None

@@ -94,8 +94,8 @@ def from_fit(
 def load_points(load_left_N: ArrayLike, load_right_N: ArrayLike) -> dict[str, tuple[float, float]]:
     """Return the load points of runs: name -> mean wheel loads left and right in N.
 
-    A wheel's loads that follow each other within `SAME_LOAD` of the lowest are one, weighed several times; beyond
-    `LOAD_SCATTER` times that, those equal to a newton. Empty beyond `LOAD_TABLE_LINES`: none is meant.
+    A wheel's loads within `SAME_LOAD` of the lowest are one, weighed several times; beyond `LOAD_SCATTER` times that,
+    those equal to a newton. Empty beyond `LOAD_TABLE_LINES`: none is meant.
     """
     pairs = np.column_stack([load_left_N, load_right_N])
     pairs = pairs[np.isfinite(pairs).all(axis=1)]
@@ -216,7 +216,7 @@ def from_geometry(
     """Return the coefficient file of a campaign's geometry; `outside`, `created`: see `Header`.
 
     Without loads the slope is 0, uncertain by `SLOPE_STD_PER_N`. Lengths not determined keep their nominal value.
-    Raises ImplausibleError where the geometry is doubtful or wrong, without a reason to `accept` it.
+    Raises ImplausibleError where it is doubtful or wrong, without a reason to `accept` it.
     """
     if not geometry.passed and not accept:
         raise ImplausibleError(f"{geometry.name}, geometry {geometry.verdict}", geometry.why)

@@ -232,8 +232,6 @@ def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise:
     """Return what the end poses of planned runs will tell of the geometry (Fisher information).
 
     `scales`, shape (4,), are variances of the noise's components: by default the stated sigmas and small random walks.
-
-    Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
     """
     if scales is None:
         scales, sigma = first_scales(campaign.reference), campaign.runs.number(GYRO_SIGMA)

@@ -126,7 +126,7 @@ def front_faults(recording: "Recording", segments: "Segments", radius_m: float, 
     """Return the recording with steering zero and signs corrected, and what was wrong.
 
     Of mirrored solutions of the same residual that with positive lengths is the vehicle's. `radius_m`: nominal;
-    `by_shaft`: the counter tells the way of the rear axle, at any steering angle.
+    `by_shaft`: the counter tells the rear axle's way.
     """
     faults: list[Fault] = []
     steer, headed, rolled = recording.steps.steer_rad, segments.seen[:, 2], recording.steps.turned_rad[0]

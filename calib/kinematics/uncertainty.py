@@ -238,7 +238,7 @@ def sandwich(
     power
         Of what leverage takes from the residuals; they are enlarged by it.
     directions
-        Sums of parameters whose freedom is asked for, shape (n_free, n_free); see `sandwich_along`.
+        Sums of parameters, shape (n_free, n_free); see `sandwich_along`.
     """
     flat, residuals, root, scale = _unit_columns(solution, free)
     cluster = np.unique(cluster, return_inverse=True)[1]

@@ -152,7 +152,7 @@ def replay(
 
 
 def _doubts(campaign: Campaign, along: FloatArray) -> list[str]:
-    """Return what speaks against logs and law; `along` (n_runs,): end errors, in those expected."""
+    # along (n_runs,): end errors, in those expected
     of_loads = [*measurements.wheel_loads(campaign), *settings.logged_loads(campaign)]
     notes = [*{note.code: note.sentence for note in reversed(of_loads) if "log" in note.where}.values()]
     of_others = {note.run_id: note for note in counts.counts_against_log(campaign)}

@@ -86,7 +86,7 @@ def test_an_axle_that_slips_aside_bends_the_course_that_stands_for_its_heading(
 
 @pytest.mark.parametrize("drive", ["tricycle", "differential"])
 def test_a_sensor_off_the_axle_that_reads_late_is_late_alone(tmp_path: Path, drive: str) -> None:
-    """In a curve it moves otherwise than the axle: by that one's speed the delay was half as long beside a side slip."""
+    """In a curve it moves otherwise than the axle: by that one's speed the delay was half as long, beside slip."""
     campaign = off_axle(driven(tmp_path, {"reference_latency": 0.15, "reference_lever_arm": 0.4}, 11, drive), 0.4)
     diagnosis = diagnose_in_full(campaign, plan=False)
     assert [cause.effect for cause in diagnosis.causes] == ["reference_latency"] and diagnosis.recommended

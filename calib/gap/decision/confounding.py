@@ -91,6 +91,8 @@ def distances_of(evidence: Evidence, within: float = SEPARATION_SD) -> list[Dist
     for name in off:
         others = [_undetected(evidence, off)[:, [other != name for other in NAMES]]]
         own = {other: each for other, each in evidence.own_forms.items() if other in NAMES}
+        # a track that is off by itself takes up what a scale does not turn
+        own |= evidence.unaided_scale if name == RadiusScale.id and TrackWidth.id in off else {}
         distances.append(((name,), near([name], others, forms | own)))
     return distances
 

@@ -201,7 +201,7 @@ def oversized(causes: Iterable[Cause], improvement: Improvement | None) -> Itera
     """Yield causes beyond what is plausible that are not shown to close the gap: what imitates leaves a part of it.
 
     The squares left are to be below half of those of the largest size that may be, and the cause rather at work than
-    not. Radii and track have a bound of their own, `beyond_vehicles`.
+    not. Radii and track: `beyond_vehicles`.
     """
     if improvement is None:
         return
@@ -323,7 +323,7 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
             f"corrections part; {PLAN}"
         )
     # a scale grows with the way: on longer runs they differ
-    by_tape = any(tuple(group[:3]) == confounding.SCALED for group in tied)
+    by_tape = any(confounding.SCALED[2] in group for group in tied)
     noise_m = closure.floor_rms_m or 0.0
     if apart_m is None or (apart_m <= noise_m and not by_tape):
         return

@@ -251,9 +251,9 @@ def no_mere_noise(evidence: Evidence) -> str:
 def stands_off(evidence: Evidence) -> bool:
     """Return whether runs that agree stand off on one side beyond the reach of noise.
 
-    All runs of a condition, or one of a route by that much and another beyond noise on that route. Of recordings also
-    all together by what no single one is by noise, or any one where others were omitted; without repeats, all beyond
-    any level as uncertain as `log_marginal` takes the stated one.
+    All runs of a condition, or one of a route and another beyond noise there. Of recordings also all together by what
+    no single one is by noise, or any one where others were omitted; without repeats, all beyond any level as uncertain
+    as `log_marginal` takes the stated one.
     """
     usable, noise = evidence.observations.usable, evidence.noise
     if noise.dof <= 0.0 and evidence.fitted.chi_square > most_square(int(usable.sum())):

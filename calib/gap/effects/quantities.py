@@ -155,8 +155,8 @@ def turns_on_the_spot_too(observations: Observations) -> bool:
 def end_motion(observations: Observations, *, at_start: bool = False) -> tuple[FloatArray, FloatArray]:
     """Return signed speed (m/s) and turn rate (rad/s) at the end (or start) of each observation, each shape (n_obs,).
 
-    By the log's last two stretches of three tenths of a second, carried on to the very end. Without a log it is read at
-    its set speed, 0 where that is not known.
+    By the log's last two stretches of three tenths of a second, carried on to the very end; without a log at its
+    set speed, else 0.
     """
 
     def motion(part: Observations) -> FloatArray:

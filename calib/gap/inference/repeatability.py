@@ -227,7 +227,7 @@ def _group_design(path: Path, gap: FloatArray, grouped: Replicates) -> tuple[Flo
 
 
 def _of_their_route(path: Path, grouped: Replicates) -> FloatArray:
-    """Return the calibration derivatives (n_units, 6, 3), within a group their mean: their own take up noise."""
+    """Return the calibration derivatives (n_units, 6, 3), within a group their mean."""
     own: FloatArray = path.calibration[:, :, :3].copy()
     size = np.diff(np.append(grouped.first, len(grouped.units)))
     mean = grouped.summed(own[grouped.units]) / size[:, None, None]

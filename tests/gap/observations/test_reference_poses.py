@@ -199,6 +199,17 @@ def test_journeys_of_which_none_was_driven_twice_are_cut_into_windows() -> None:
         assert observations_of(campaign_of(logs, Reference(frame="map"))).windowed is windowed
 
 
+@pytest.mark.parametrize(("sigma_m", "least_m"), [(0.002, 3.0), (0.08, 6.4)])
+def test_windows_are_as_long_as_the_reference_is_noisy(sigma_m: float, least_m: float) -> None:
+    """Ways of 26 m a run, cut where one of a window is known to 1 % (8 m) but at 4 m at least."""
+    free = [Truth([(20.0 + 0.7 * k, 0.0), (1.5, (-1) ** k * (0.3 + 0.1 * k)), (4.0, 0.0)]) for k in range(15)]
+    logs = [truth.counts() | seen(truth, in_map=True) for truth in free]
+    observations = observations_of(campaign_of(logs, Reference(frame="map", sigma_xy_m=sigma_m)), into_windows=True)
+    way_m = np.bincount(observations.unit, observations.travel_left_m)
+    # whole windows fit a run: a fifth less at most
+    assert least_m <= way_m.min() and way_m.mean() < 1.5 * least_m / 0.8
+
+
 @pytest.mark.parametrize("end_in_table", [False, True])
 def test_start_and_end_in_a_map_are_enough(end_in_table: bool) -> None:
     """A log with the start pose, and the end in the log or in the table: whole turns are those of the wheels."""
