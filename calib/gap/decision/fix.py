@@ -323,7 +323,7 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
             f"corrections part; {PLAN}"
         )
     # a scale grows with the way: on longer runs they differ
-    by_tape = any(confounding.SCALED[2] in group for group in tied)
+    by_tape = any(confounding.SCALED[2] in group for group in tied if group[0] == confounding.SCALED[0])
     noise_m = closure.floor_rms_m or 0.0
     if apart_m is None or (apart_m <= noise_m and not by_tape):
         return
