@@ -1,7 +1,4 @@
-"""Search for departures: changes of the recording of unknown size, fitted beside the vehicle's parameters.
-
-One is named where its size is beyond noise and it explains more of the residual than is left.
-"""
+"""Search for departures: changes of the recording of unknown size, fitted beside the vehicle's parameters."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -21,7 +18,7 @@ from calib.types import FloatArray
 
 #: standard deviations by which a size must stand out: several are tried
 CLEAR: Final = 6.0
-#: of slip: sound runs have up to 2.2
+#: of slip: sound runs have up to 3.2
 CLEAR_SLIP: Final = 4.5
 #: of an axis: displacements by a laser scanner, which have no axes, make up to 9.4
 CLEAR_AXIS: Final = 12.0
@@ -32,11 +29,11 @@ LEAD: Final = 0.1
 PLAYS_RAD: Final = (0.01, 0.04)
 #: of a steering angle: from half the least on, which is no step of a log any more
 SHIFTS_S: Final = (0.1, 0.3, -0.1, -0.3)
-#: scale of a tracking system's axis, from which it is tried
+#: of a tracking system's axis
 AXIS_SCALE: Final = 0.01
 #: resultant of the doubled start headings, above which runs begin along one axis
 ALONG_ONE: Final = 0.9
-#: scale of the reference's heading beside its positions
+#: of headings beside positions
 HEADING_SCALE: Final = 0.005
 #: sound clocks differ by 1e-4
 CLOCK_RATE: Final = 5e-4
@@ -45,13 +42,15 @@ FEWEST_OF_A_CLOCK: Final = 4
 OF_TWO_LENGTHS: Final = 0.2
 #: of the wheels' way
 SLIP: Final = 0.01
-#: by way ahead, to the side and turn: code of the slip, what it grows with and what helps
+#: code, what it grows with and what helps
 SLIPS: Final = (
     ("speed_slip", "% per m/s of speed: the radii hold for these speeds alone; drive as in use"),
     ("strafe_slip", "% on the way to the side, as rollers do; correct that way in the vehicle"),
     ("turn_slip", "% per rad/s of yaw rate: radii and track hold for these turns alone; turn slower"),
+    ("side_slip", "cm/s outward per m/s^2 in turns: the sensor's place holds for these turns alone; turn slower"),
 )
 ASIDE: Final = 1
+OUTWARD: Final = 3
 _ROLLERS: Final = np.array([-1.0, 1.0, 1.0, -1.0])
 
 
@@ -70,7 +69,7 @@ class Departure:
 def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] | None:
     """Return the departure that explains most, and its size; None where none is clear.
 
-    `misfit`: the residuals speak against the fit: departures that sound ones need no test for are tried, too.
+    `misfit`: the residuals speak against the fit: more are tried.
     """
     most, best = 0.0, None
     # beside a delay that nobody estimated, the delay itself looks like a clock
@@ -92,7 +91,7 @@ def hidden_clock(recording: Recording) -> tuple[Departure, float] | None:
 
 
 def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
-    """Return the share of squares a departure explains, its size, and that one's standard uncertainty."""
+    """Return the share of squares a departure explains, its size, and that one's uncertainty."""
     model, solution = fitted.model, fitted.solution
     recording = departure.change(model.recording, departure.step)
     segments = remeasured(model.segments, model.recording.reference, recording.reference)
@@ -101,7 +100,7 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     shift = np.einsum("nij,nj->ni", solution.whitener, solution.prediction.residuals - changed)
     shift *= np.sqrt(solution.weights)[:, None]
     back = np.linalg.inv(solution.whitener)
-    back /= np.sqrt(np.square(back).sum(axis=2))[:, :, None]
+    back /= np.linalg.norm(back, axis=2, keepdims=True)
     flat = (back @ jacobian).reshape(-1, jacobian.shape[2])
     both = (back @ np.stack([shift, residuals], axis=2)).reshape(-1, 2)
     column, unexplained = (both - flat @ np.linalg.lstsq(flat, both, rcond=None)[0]).T
@@ -111,17 +110,17 @@ def score(fitted: Fitted, departure: Departure) -> tuple[float, float, float]:
     if few or information <= 0.0 or len(np.unique(group)) < min(FEWEST_GROUPS, flat.shape[1] + 2):
         return 0.0, 0.0, np.inf
     steps = float(column @ unexplained) / information
-    pulls = np.bincount(group, column * (unexplained - steps * column))
-    std = float(np.sqrt(np.square(pulls).sum())) / information
-    share = 1.0 - float(np.square(unexplained - steps * column).sum() / max(float(unexplained @ unexplained), 1e-300))
+    rest = unexplained - steps * column
+    std = float(np.linalg.norm(np.bincount(group, column * rest))) / information
+    share = 1.0 - float(rest @ rest / max(unexplained @ unexplained, 1e-300))
     return share, steps * departure.step, std * abs(departure.step)
 
 
 #: runs from which on they are the groups, not blocks of them; readings beside the parameters
 FEWEST_GROUPS: Final = 8
-#: a size below this part of the one tried is another's, or of the wrong sign
+#: a smaller part of the size tried is another's, or of the wrong sign
 LEAST_SIZE: Final = 0.5
-#: so many times the one tried no linear step reaches
+#: no linear step reaches as far
 LARGEST_SIZE: Final = 30.0
 
 
@@ -139,12 +138,12 @@ def remeasured(segments: Segments, before: FloatArray, after: FloatArray) -> Seg
 
 def _departures(model: Model, *, timed: bool, misfit: bool) -> Iterator[Departure]:
     whole = model.segments.are_runs_of(model.recording)
-    share = EXPLAINED if whole else 0.0
+    share = EXPLAINED * whole
     if model.recording.steps.steer_rad is None:
-        for rate, (code, text) in enumerate(SLIPS):
-            without, named = partial(_without_slip, drive=model.drive, rate=rate), partial(_slip, code=code, text=text)
-            if rate != ASIDE or isinstance(model.drive, drives.Mecanum):
-                yield Departure(without, SLIP, named, share if code == "turn_slip" else max(share, LEAD), CLEAR_SLIP)
+        for rate in range(len(SLIPS)):
+            without, named = partial(_without_slip, drive=model.drive, rate=rate), partial(_slip, rate)
+            if rate != (OUTWARD if isinstance(model.drive, drives.Mecanum) else ASIDE):
+                yield Departure(without, SLIP, named, max(share, LEAD) if rate <= ASIDE else share, CLEAR_SLIP)
     else:
         yield from (Departure(_without_play, play_rad, _play, share) for play_rad in PLAYS_RAD)
         yield from (Departure(_shifted, shift_s, _shift, share) for shift_s in SHIFTS_S)
@@ -172,14 +171,18 @@ def _clock(rate: float) -> Fault:
 
 
 def _without_slip(recording: Recording, slip: float, drive: drives.Drive, rate: int) -> Recording:
-    turned = recording.steps.turned_rad
+    steps, turned = recording.steps, recording.steps.turned_rad
     if rate == ASIDE:
         return recording.with_turned(turned - slip * np.outer(_ROLLERS, 0.25 * _ROLLERS @ turned))
-    done = np.cumsum(drives.nominal_motion(drive, recording.steps)[rate])
-    return recording.with_turned(turned / (1.0 + slip * np.abs(smoothed_speed_mps(done, recording.t_s))))
+    motion = drives.nominal_motion(drive, steps)
+    per_s = smoothed_speed_mps(np.cumsum(motion[rate % OUTWARD]), recording.t_s)
+    if rate == OUTWARD:
+        return replace(recording, steps=replace(steps, aside_m=steps.aside_m - slip * per_s * motion[2]))
+    return recording.with_turned(turned / (1.0 + slip * np.abs(per_s)))
 
 
-def _slip(slip: float, code: str, text: str) -> Fault:
+def _slip(rate: int, slip: float) -> Fault:
+    code, text = SLIPS[rate]
     return Fault(code, f"the wheels slip by {100 * slip:.2g} {text}")
 
 
@@ -216,9 +219,9 @@ def _stretched(recording: Recording, share: float, axis: int) -> Recording:
 
 
 def _wound_since_start(recording: Recording, share: float) -> Recording:
-    begin_rad = np.repeat(recording.reference[2, recording.offsets[:-1]], np.diff(recording.offsets))
+    begin_rad = recording.reference[2, recording.offsets[recording.run]]
     wound = _stretched(recording, share, 2)
-    return wound.with_reference(wound.reference - share * begin_rad * np.array([[0.0], [0.0], [1.0]]))
+    return wound.with_reference(wound.reference - share * np.outer(np.eye(3)[2], begin_rad))
 
 
 def _heading_scale(share: float) -> Fault:

@@ -144,6 +144,8 @@ class Steps:
     load_offset_N: FloatArray | None = None
     #: speed of a counted drive shaft by the nominal radius, shape (n_samples,)
     speed_mps: FloatArray | None = None
+    #: slip to the left, shape (n_samples,)
+    aside_m: FloatArray | float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,8 +29,8 @@ Using = Literal["end_poses", "windows"]
 AS_GOOD: Final = 1.25
 #: heading errors beyond this bend the path by more than a linear model allows
 BENT_RAD: Final = 0.1
-#: blunders of which ends need show nothing
-MIRRORED: Final = {"x_mirrored", "y_mirrored", "axes_exchanged"}
+#: faults of which ends need show nothing
+UNSEEN: Final = {"x_mirrored", "y_mirrored", "axes_exchanged", "side_slip"}
 OF_CLOCKS: Final = {"clock_rate", "time_unit"}
 #: fits that find each recording's own delay
 DELAY_ROUNDS: Final = 3
@@ -85,17 +85,15 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
         return estimated("end_poses")
     with suppress(RefusedError):
         codes = {fault.code for fault in by_windows.faults}
-        trusted = by_windows.passed or MIRRORED & codes or (codes - OF_CLOCKS and not by_windows.misfit)
+        trusted = by_windows.passed or UNSEEN & codes or (codes - OF_CLOCKS and not by_windows.misfit)
         return by_windows if trusted else _told_by(by_windows, estimated("end_poses"))
     return by_windows
 
 
 def _told_by(windows: Geometry, ends: Geometry) -> Geometry:
     # what windows show, such as a clock or a sensor that was moved, hardly shows at ends
-    notes = [
-        f"By windows of the recordings the result is {windows.verdict.value}: {why.rstrip('.')}." for why in windows.why
-    ]
-    return replace(ends, notes=(*ends.notes, *notes[:1]))
+    by = f"By windows of the recordings the result is {windows.verdict.value}: "
+    return replace(ends, notes=(*ends.notes, *(f"{by}{why.rstrip('.')}." for why in windows.why[:1])))
 
 
 def _estimated(task: "_Task", recording: Recording, by_windows: Callable[[], "_Fit"], *, asked: bool) -> Geometry:
@@ -261,8 +259,7 @@ def _refined(fit: _Fit, departure: departures.Departure, size: float) -> float:
 
 
 def _mean_off_m(model: Model, fitted: Fitted) -> float:
-    residuals = model.residuals(fitted.solution.values)
-    return float(np.mean(np.hypot(residuals[:, 0], residuals[:, 1])))
+    return float(np.hypot(*model.residuals(fitted.solution.values)[:, :2].T).mean())
 
 
 def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
@@ -346,8 +343,8 @@ def _transfer(
         kept, held_out = (recording_of(part, whole.source) for part in parts)
         drive = drive_of(campaign, whole.source, kept)
         fitted = fit_parameters(campaign, drive, kept, next(divisions(kept, whole.using)), sensor)
-        model = Model(fitted.model.drive, held_out, end_pose_segments(held_out))
-        vehicles = (fitted.parameters.nominal, fitted.solution.values)
-        before, after = (rms(model.residuals(values)[:, :2]) for values in vehicles)
-        rows.append(Transfer(str(label), len(held_out), before, after))
+        model = Model(drive, held_out, end_pose_segments(held_out))
+        vehicles = fitted.parameters.nominal, fitted.solution.values
+        left_m = (rms(model.residuals(values)[:, :2]) for values in vehicles)
+        rows.append(Transfer(str(label), len(held_out), *left_m))
     return tuple(rows)

@@ -183,7 +183,9 @@ class Model:
 
     def motion(self, values: FloatArray) -> drives.Motion:
         """Return the motion of the body in each step at `values`, shape (n_parameters,)."""
-        return self.drive.motion(values[: -len(drives.SENSOR)], self.recording.steps)
+        motion = self.drive.motion(values[: -len(drives.SENSOR)], self.recording.steps)
+        motion.body[1] += self.recording.steps.aside_m
+        return motion
 
     def predict(self, values: FloatArray, *, path: Path | None = None, by_drive: bool = True) -> Prediction:
         """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known.

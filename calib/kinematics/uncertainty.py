@@ -387,7 +387,6 @@ def _width(uncertainty: Uncertainty) -> float:
 
 
 def _alike(scores: FloatArray, group: IntArray) -> float:
-    products = scores @ scores.T
-    same = (group[:, None] == group[None, :]) & ~np.eye(len(group), dtype=np.bool_)
-    spread = float(np.sqrt(np.square(products[same]).sum() / 2.0))
-    return float(products[same].sum() / 2.0 / spread) if spread > 0.0 else 0.0
+    pairs = (scores @ scores.T)[np.triu(group[:, None] == group, 1)]
+    spread = float(np.linalg.norm(pairs))
+    return float(pairs.sum()) / spread if spread > 0.0 else 0.0

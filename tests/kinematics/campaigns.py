@@ -39,6 +39,8 @@ class Truth:
     clock_rate: float = 0.0
     slip_s_per_rad: float = 0.0
     slip_s_per_m: float = 0.0
+    #: speed outward over the acceleration in turns
+    side_slip_s: float = 0.0
 
 
 def driven(legs: Sequence[Leg]) -> tuple[np.ndarray, np.ndarray]:
@@ -48,12 +50,12 @@ def driven(legs: Sequence[Leg]) -> tuple[np.ndarray, np.ndarray]:
     return way, turn
 
 
-def path(way: np.ndarray, turn: np.ndarray) -> np.ndarray:
+def path(way: np.ndarray, turn: np.ndarray, left: np.ndarray | float = 0.0) -> np.ndarray:
     """x, y, heading at all fine steps, start included; each step straight at the heading in its middle."""
     heading = np.concatenate(([0.0], np.cumsum(turn)))
     middle = 0.5 * (heading[1:] + heading[:-1])
-    x = np.concatenate(([0.0], np.cumsum(way * np.cos(middle))))
-    y = np.concatenate(([0.0], np.cumsum(way * np.sin(middle))))
+    x = np.concatenate(([0.0], np.cumsum(way * np.cos(middle) - left * np.sin(middle))))
+    y = np.concatenate(([0.0], np.cumsum(way * np.sin(middle) + left * np.cos(middle))))
     return np.stack([x, y, heading])
 
 
@@ -100,7 +102,7 @@ def campaign(
         per_s = len(turn) / duration_s
         phi *= 1.0 + (truth.slip_s_per_rad * np.abs(turn) + truth.slip_s_per_m * np.abs(way)) * per_s
         noisy = turn + rng.normal(size=len(turn)) * walk * np.sqrt(np.abs(way) + 0.1 * np.abs(turn))
-        pose = seen_from(path(way, noisy), truth.sensor)
+        pose = seen_from(path(way, noisy, -truth.side_slip_s * per_s * way * turn), truth.sensor)
         t = np.linspace(0.0, duration_s, len(way) + 1)
         at = np.linspace(0, len(way), samples + 1).round().astype(int)
         counts = np.rint(np.concatenate([np.zeros((2, 1)), np.cumsum(phi, axis=1)], axis=1) / (2 * np.pi) * per_rev)

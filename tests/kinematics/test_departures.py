@@ -207,14 +207,27 @@ SLIP_WITHIN = 1.2
         # far from small beside what is known of the windows
         (Truth(slip_s_per_rad=0.06), "turn_slip"),
         (Truth(slip_s_per_m=0.1), "speed_slip"),
+        (Truth(side_slip_s=0.1), "side_slip"),
     ],
 )
-def test_slip_that_grows_with_yaw_rate_or_speed_is_doubtful(truth: Truth, code: str) -> None:
+def test_slip_that_grows_with_yaw_rate_or_speed_or_outward_is_doubtful(truth: Truth, code: str) -> None:
     found = along(truth)
     assert found.verdict is (GeometryVerdict.DOUBTFUL if code else GeometryVerdict.CALIBRATED)
     assert [fault.code for fault in found.faults] == [code] * bool(code)
-    slip = max(truth.slip_s_per_rad, truth.slip_s_per_m)
+    slip = max(truth.slip_s_per_rad, truth.slip_s_per_m, truth.side_slip_s)
     assert not code or float(found.faults[0].text.split()[4]) == pytest.approx(100.0 * slip, abs=SLIP_WITHIN)
+
+
+@pytest.mark.parametrize("side_slip_s", [0.0, 0.1])
+def test_a_sensor_that_slip_in_turns_displaces_is_never_calibrated(side_slip_s: float) -> None:
+    """Residuals refuse the windows, too, and ends by themselves, where headings differ, are another cause's."""
+    routes = [("route", [(way, sense * turn) for way, turn in ROUTE]) for sense in (1, -1) * 5]
+    truth, rng = Truth(side_slip_s=side_slip_s), np.random.default_rng(1)
+    found = estimate_geometry(campaigns.campaign(routes, truth, rng, along=True, walk=1e-3, duration_s=20.0))
+    assert found.using == "windows" and found.passed is (side_slip_s == 0.0)
+    assert [fault.code for fault in found.faults] == ["side_slip"] * bool(side_slip_s)
+    off_m = abs(found["sensor_x_m"].value)
+    assert (off_m > found["sensor_x_m"].half_width) is (side_slip_s > 0.0)
 
 
 @pytest.mark.parametrize("strafe", [0.0, 0.06])
