@@ -47,7 +47,7 @@ SLIPS: Final = (
     ("speed_slip", "% per m/s of speed: the radii hold for these speeds alone; drive as in use"),
     ("strafe_slip", "% on the way to the side, as rollers do; correct that way in the vehicle"),
     ("turn_slip", "% per rad/s of yaw rate: radii and track hold for these turns alone; turn slower"),
-    ("side_slip", "cm/s outward per m/s^2 in turns: the sensor's place holds for these turns alone; turn slower"),
+    ("outward_slip", "cm/s outward per m/s^2 in turns: the sensor's place holds for these turns alone; turn slower"),
 )
 ASIDE: Final = 1
 OUTWARD: Final = 3

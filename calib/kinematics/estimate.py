@@ -29,8 +29,8 @@ Using = Literal["end_poses", "windows"]
 AS_GOOD: Final = 1.25
 #: heading errors beyond this bend the path by more than a linear model allows
 BENT_RAD: Final = 0.1
-#: faults of which ends need show nothing
-UNSEEN: Final = {"x_mirrored", "y_mirrored", "axes_exchanged", "side_slip"}
+#: faults that ends need not show
+UNSEEN: Final = {"x_mirrored", "y_mirrored", "axes_exchanged", "outward_slip"}
 OF_CLOCKS: Final = {"clock_rate", "time_unit"}
 #: fits that find each recording's own delay
 DELAY_ROUNDS: Final = 3

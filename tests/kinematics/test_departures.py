@@ -207,7 +207,7 @@ SLIP_WITHIN = 1.2
         # far from small beside what is known of the windows
         (Truth(slip_s_per_rad=0.06), "turn_slip"),
         (Truth(slip_s_per_m=0.1), "speed_slip"),
-        (Truth(side_slip_s=0.1), "side_slip"),
+        (Truth(side_slip_s=0.1), "outward_slip"),
     ],
 )
 def test_slip_that_grows_with_yaw_rate_or_speed_or_outward_is_doubtful(truth: Truth, code: str) -> None:
@@ -225,7 +225,7 @@ def test_a_sensor_that_slip_in_turns_displaces_is_never_calibrated(side_slip_s: 
     truth, rng = Truth(side_slip_s=side_slip_s), np.random.default_rng(1)
     found = estimate_geometry(campaigns.campaign(routes, truth, rng, along=True, walk=1e-3, duration_s=20.0))
     assert found.using == "windows" and found.passed is (side_slip_s == 0.0)
-    assert [fault.code for fault in found.faults] == ["side_slip"] * bool(side_slip_s)
+    assert [fault.code for fault in found.faults] == ["outward_slip"] * bool(side_slip_s)
     off_m = abs(found["sensor_x_m"].value)
     assert (off_m > found["sensor_x_m"].half_width) is (side_slip_s > 0.0)
 
