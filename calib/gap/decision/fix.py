@@ -322,10 +322,11 @@ def disagreement(apart_m: float | None, on: str, closure: Closure, tied: Sequenc
             f"these runs cannot tell {_either(parted)}: what they follow went together, and where it does not their "
             f"corrections part; {PLAN}"
         )
-    # a scale grows with the way: on longer runs they differ
     by_tape = any(confounding.SCALED[2] in group for group in tied if group[0] == confounding.SCALED[0])
+    # a scale grows with the way: on longer runs they differ
+    scaled = any(tuple(group[:3]) == confounding.SCALED for group in tied)
     noise_m = closure.floor_rms_m or 0.0
-    if apart_m is None or (apart_m <= noise_m and not by_tape):
+    if apart_m is None or (apart_m <= noise_m and not scaled):
         return
     groups = "; ".join(map(_either, tied))
     yield (

@@ -15,6 +15,7 @@ from calib.gap.decision.diagnosis import Cause, Diagnosis, Evidence, Unexplained
 from calib.gap.decision.held_out import RERUN, Closure, Improvement, end_rms_m
 from calib.gap.effects import forms_on
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
+from calib.gap.effects.reference import ReferenceScale
 from calib.gap.inference import (
     ADEQUATE_CLOSURE,
     CERTAIN_PROBABILITY,
@@ -157,7 +158,8 @@ def beside_geometry(diagnosis: Diagnosis, campaign: Campaign) -> Diagnosis:
 
     Its fix is not recommended where the reference has unlike scales; radii and track that differ are noted.
     """
-    if not diagnosis.recommended or not OF_A_PATH.intersection(campaign.logs.columns):
+    scaled = any(ReferenceScale.id in group for group in diagnosis.groups)
+    if not (diagnosis.recommended or scaled) or not OF_A_PATH.intersection(campaign.logs.columns):
         return diagnosis
     from calib.kinematics.estimate import estimate_geometry
 

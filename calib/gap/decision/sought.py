@@ -102,7 +102,7 @@ class Sought:
             Result of the search, and the library.
         refine
             Turn a turned reference further, by the angle found. Else its place or delay: of positions without headings
-            the course stands for these, which depends on both, so that sizes are fitted about those last found.
+            the course depends on both, so that sizes are fitted about those last found.
         """
         known = tuple(fault for fault in situation.faults if isinstance(fault, Mounting))
         for form, theta, place in searched.fitted.each() if refine else ():
