@@ -156,7 +156,7 @@ OF_REFERENCE: Final = ("axis_scale", "heading_scale")
 def beside_geometry(diagnosis: Diagnosis, campaign: Campaign) -> Diagnosis:
     """Return a diagnosis of recordings beside what `calib geometry` says of them.
 
-    Its fix is not recommended where the reference has unlike scales; radii and track that differ are noted.
+    No fix is recommended beside unlike scales of the reference; radii and track that differ are noted.
     """
     scaled = any(ReferenceScale.id in group for group in diagnosis.groups)
     if not (diagnosis.recommended or scaled) or not OF_A_PATH.intersection(campaign.logs.columns):

@@ -53,7 +53,7 @@ def angle_error(observations: Observations, error_rad: FloatArray, exact_at: flo
     """Return what it does that the logged steering angle is too large by `error_rad`, shape (n_steps,), per unit.
 
     The heading by steering is then too large by ds cos(delta) error / L, and the distance by the front wheel too small
-    by ds sin(delta) error. `exact_at`: size at which sine and cosine are of the whole error; their slopes by default.
+    by ds sin(delta) error. `exact_at`: size at which sine and cosine are of the whole error.
     """
 
     def acts(part: Observations, error: FloatArray) -> Perturbation:

@@ -151,7 +151,7 @@ def replicates(
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Return the route, the condition and the cell of each observation, each shape (n_obs,).
 
-    Replicates share a condition; those of one session, temperature, dwell and further columns share a cell.
+    Replicates share a condition; those of one session, temperature, dwell and further columns a cell.
 
     Parameters
     ----------
