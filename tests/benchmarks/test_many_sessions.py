@@ -88,8 +88,8 @@ def test_160_runs_beside_the_imports(benchmark: BenchmarkFixture, tmp_path: Path
     def kept(found: Sequence[Spent]) -> bool:
         return not benchmark.enabled and found[1].cpu_s <= MOST_OVER_IMPORTS * found[0].cpu_s
 
-    turns = 5 if benchmark.enabled else 3
-    bare, ours = least(turns, lambda: spent(["-c", NEEDED]), lambda: diagnosed(folder), enough=kept)
+    # beside other tests single turns are up to a tenth off; the first that keeps the limit ends them
+    bare, ours = least(8, lambda: spent(["-c", NEEDED]), lambda: diagnosed(folder), enough=kept)
     benchmark.extra_info["160 runs over bare imports"] = ours.cpu_s / bare.cpu_s
     benchmark.pedantic(lambda: None, rounds=1)
     assert ours.cpu_s <= MOST_OVER_IMPORTS * bare.cpu_s, f"{ours.cpu_s / bare.cpu_s:.2f} times the imports"
