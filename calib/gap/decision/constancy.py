@@ -126,7 +126,7 @@ def without_refuted(evidence: Evidence, groups: Sequence[Sequence[str]]) -> list
 def _is_predicted(evidence: Evidence, effect: str) -> bool:
     """Return whether a cause closes whole sessions held out, paired with the fit of the others alone.
 
-    By F, as few may share chance. Not of what may have been set with the session, or follows their order.
+    By F: few sessions may agree by chance. Not of what may have been set with the session, or follows their order.
     """
     from scipy.special import fdtrc
 
