@@ -17,6 +17,7 @@ from calib.gap.decision.diagnosis import Diagnosis, VerdictKind
 from calib.gap.diagnose import diagnose_in_full
 from calib.gap.effects.library import effect_class
 from calib.gap.effects.mounting import DisplacedSensor, LateReference
+from calib.gap.effects.reference import ReferenceLatency, ReferenceLeverArm
 from calib.gap.inference.fit import signature_columns
 from calib.gap.observations.from_campaign import observations_of
 from calib.gap.predict import measured_gap, predict
@@ -131,13 +132,14 @@ def test_a_place_is_added_to_the_stated_one_and_a_delay_to_the_wheels_times(tmp_
     """Counts of an even drive at the time before are those less the way driven since."""
     campaign = driven(tmp_path, {}, 8)
     campaign = replace(campaign, reference=Reference(sensor_x_m=0.1, sensor_y_m=-0.2, frame="map"))
-    placed = DisplacedSensor(np.array([0.3, 0.1]), np.zeros(2)).correct(campaign).reference
+    placed = DisplacedSensor("", ReferenceLeverArm.NAMES, np.array([0.3, 0.1]), np.zeros(2)).correct(campaign).reference
     assert (placed.sensor_x_m, placed.sensor_y_m) == pytest.approx((0.4, -0.1))
     even = 200.0 * campaign.logs.columns["t_s"]
     campaign = replace(campaign, logs=replace(campaign.logs, columns={**campaign.logs.columns, "counts_left": even}))
-    moved = LateReference(np.array([0.12]), np.zeros(1)).correct(campaign).logs
-    late = moved.columns["t_s"] > 0.12
-    assert moved.columns["counts_left"][late] == pytest.approx(even[late] - 24.0)
+    late = LateReference(ReferenceLatency.OF_POSE, (ReferenceLatency.DELAY,), np.array([0.12]), np.zeros(1))
+    moved = late.correct(campaign).logs
+    since = moved.columns["t_s"] > 0.12
+    assert moved.columns["counts_left"][since] == pytest.approx(even[since] - 24.0)
     assert np.array_equal(moved.columns["ref_x_m"], campaign.logs.columns["ref_x_m"])
 
 
@@ -148,3 +150,22 @@ def test_wheels_that_roll_aside_tell_the_course_of_a_vehicle_that_strafes() -> N
     numbers = {name: values for name, values in sound.runs.numbers.items() if not name.startswith("ref_")}
     alone = replace(sound, runs=replace(sound.runs, labels=labels, numbers=numbers))
     assert diagnose_in_full(alone, plan=False).kind is VerdictKind.NO_GAP
+
+
+@pytest.mark.parametrize("headings", [True, False])
+def test_a_delay_of_its_own_in_each_session_is_found_as_such(tmp_path: Path, headings: bool) -> None:
+    """A reference that reads later in the second session is late in both by what it is late, and nothing else."""
+    sizes, rng = {"reference_latency": 0.08}, np.random.default_rng(12)
+    folder = free_drives.write(tmp_path / "free", "differential", sizes, SCATTER, rng, headings=headings)
+    campaign = read_campaign(folder)
+    logs, columns = campaign.logs, dict(campaign.logs.columns)
+    for name in (name for name in columns if name.startswith("ref_")):
+        columns[name] = columns[name].copy()
+        for run in np.flatnonzero(campaign.runs.label("session") == "d1"):
+            rows = slice(logs.offsets[run], logs.offsets[run + 1])
+            t_s, read = columns["t_s"][rows], columns[name][rows]
+            known = np.isfinite(read)
+            columns[name][rows][known] = np.interp(t_s[known] - 0.1, t_s[known], read[known])
+    diagnosis = diagnose_in_full(replace(campaign, logs=replace(logs, columns=columns)), plan=False)
+    assert [cause.effect for cause in diagnosis.causes] == ["reference_latency"]
+    assert held(diagnosis, "reference_latency", latency_d0=0.08, latency_d1=0.18)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -10,15 +10,43 @@ from calib.campaign import checks
 from calib.campaign.checks import LEAST_RUNS, column_note, rolled_m
 from calib.campaign.model import Campaign, Note
 from calib.campaign.wheels import ASIDE
-from calib.types import few_digits
+from calib.types import BoolArray, ComplexArray, FloatArray, few_digits
 
 #: a lost reference's difference from the wheels: in m, beyond this slip, in standard uncertainties, in usual (90 %)
 #: ones
-_LOST_M, _SLIP, _LOST_SIGMAS, _UNUSUAL = 0.05, 1.5, 15.0, 4.0
+_LOST_M, _SLIP, _LOST_SIGMAS, _UNUSUAL = 0.05, 0.5, 15.0, 4.0
+#: readings on either side that tell the course of one
+_NEAR: Final = 5
 
 
 def lost_reference(campaign: Campaign) -> Iterator[Note]:
     """Find positions along the path that stand still while the wheels roll, or leap further."""
+    for lost in _unfollowed(campaign):
+        at = int(np.argmax(lost.off_m))
+        begin_s, end_s = lost.between_s[at]
+        what = "stands still while they roll" if lost.stands[at] else "leaps further than they roll"
+        text = f"""the position does not follow the wheels {len(lost.off_m)} time(s), most from {begin_s:.4g} to
+            {end_s:.4g} s: it {what}, by {few_digits(lost.off_m[at])} m; lost or hidden? Empty these cells, or exclude
+            the run"""
+        yield checks.cell_note(campaign, lost.run, "log ref_x_m, ref_y_m", text, "lost_reference")
+
+
+def lost_stretches_s(campaign: Campaign) -> dict[int, FloatArray]:
+    """Return begin and end (n, 2), by run, of each time at which it is the reference that is off: no wheel skids so."""
+    return {lost.run: lost.between_s[lost.no_skid] for lost in _unfollowed(campaign) if lost.no_skid.any()}
+
+
+class _Unfollowed(NamedTuple):
+    """Where positions of a run do not follow its wheels."""
+
+    run: int
+    between_s: FloatArray  #: shape (n, 2): begin and end
+    off_m: FloatArray  #: shape (n,)
+    stands: BoolArray  #: whether the position stands still
+    no_skid: BoolArray  #: whether it does, to the last digit, or leaps aside: on locked wheels a vehicle slides ahead
+
+
+def _unfollowed(campaign: Campaign) -> Iterator[_Unfollowed]:
     campaign = checks.on_axle(campaign)
     vehicle, sensor = campaign.vehicle, campaign.reference
     least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
@@ -29,24 +57,34 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
         known = np.flatnonzero(np.isfinite(position))
         left, right = (rolled_m(campaign, side, log[f"counts_{side}"][known]) for side in checks.SIDES)
         way = (left + right) / 2 + 1j * log.get(ASIDE, 0.0 * log["t_s"])[known]
+        heading = (right - left) / vehicle.track_m
         # each value of the reference, from its first sample to that after its last
         first = np.append(0, np.flatnonzero(np.diff(position[known])) + 1)
         last = np.append(first[1:], len(known)) - 1
         after = np.minimum(last + 1, len(known) - 1)
         if len(known) < LEAST_RUNS:
             continue
-        moved, rolled, apart = (np.abs(of[after] - of[first]) for of in (position[known], way, right - left))
-        stand, leap = np.abs(way[last] - way[first]), moved - _SLIP * rolled - arm * apart
+        turning = np.exp(0.5j * (heading[1:] + heading[:-1]))
+        by_wheels = np.append(0.0, np.cumsum(np.diff(way) * turning))
+        moved, rolled, apart = (of[after] - of[first] for of in (position[known], by_wheels, right - left))
+        moved = _turned_back(moved, rolled)
+        share = np.clip((moved * rolled.conj()).real / np.maximum(np.abs(rolled), 1e-12) ** 2, 0.0, 1.0)
+        off = (moved - share * rolled) * np.exp(-0.5j * (heading[after] + heading[first]))
+        slip = arm * np.abs(apart) + _SLIP * np.abs(rolled)
+        leap, aside = np.abs(off) - slip, np.abs(off.imag) - slip
+        stand = np.abs(way[last] - way[first])
         off_m = np.maximum(stand, leap)
-        far = off_m > least + _UNUSUAL * np.quantile(np.append(off_m, 0.0), 0.9, method="lower")
-        if far.any():
-            at = int(np.argmax(off_m))
-            begin, end = log["t_s"][known[[first[at], after[at]]]]
-            what = "stands still while they roll" if stand[at] > leap[at] else "leaps further than they roll"
-            text = f"""the position does not follow the wheels {far.sum()} time(s), most from {begin:.4g} to
-                {end:.4g} s: it {what}, by {few_digits(off_m[at])} m; lost or hidden? Empty these cells, or exclude the
-                run"""
-            yield checks.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
+        most = least + _UNUSUAL * np.quantile(np.append(off_m, 0.0), 0.9, method="lower")
+        if (far := off_m > most).any():
+            between_s = log["t_s"][known[np.stack([first, after], axis=1)[far]]]
+            yield _Unfollowed(run, between_s, off_m[far], (stand > leap)[far], (np.maximum(stand, aside) > most)[far])
+
+
+def _turned_back(moved_m: ComplexArray, rolled_m: ComplexArray) -> ComplexArray:
+    """Return steps by the reference (n,) in the axes of those by the wheels, as their neighbours lie in these."""
+    step = moved_m.conj() / np.maximum(np.abs(moved_m), 1e-12) * rolled_m
+    near = np.convolve(step, np.ones(2 * _NEAR + 1))[_NEAR : _NEAR + len(step)] - step
+    return np.asarray(moved_m * near / np.maximum(np.abs(near), 1e-12))
 
 
 #: part of the way whose course follows the heading: 0.8 to 0.97 of real robots, whose sensors stand off the axle

@@ -30,7 +30,7 @@ from calib.gap.effects.encoder import (
 )
 from calib.gap.effects.library import with_effects
 from calib.gap.effects.mounting import RESTATED, Mounting, Restated, TurnedReference, find_turned
-from calib.gap.effects.reference import ReferenceLatency, ReferenceYaw
+from calib.gap.effects.reference import ReferenceYaw
 from calib.gap.effects.simulator import as_simulated
 from calib.gap.effects.steering import steering_blunder
 from calib.gap.inference import CERTAIN_PROBABILITY, FALSE_REJECTION, LOG_EVIDENCE_WINDOW
@@ -45,8 +45,6 @@ from calib.types import BoolArray, FloatArray, IntArray
 #: fits about a sensor's place and delay found, two settle one; a step below so many standard uncertainties is the last
 PLACE_PASSES: Final = 8
 CLOSE: Final = 0.1
-#: labels of the forms of a place and of a delay
-PLAIN_LABELS: Final = ("", ReferenceLatency.OF_POSE)
 #: headings that agree with the counts within this share of their standard uncertainty, on so many runs, one turning by
 #: so much, are the odometry's
 COPIED_SHARE: Final = 1e-6
@@ -110,19 +108,18 @@ class Sought:
                 sd_rad = float(np.sqrt(searched.fitted.covariance[place, place][0, 0]))
                 if turned := [fault for fault in known if isinstance(fault, TurnedReference)]:
                     return (turned[0].refined(float(theta[0]), sd_rad),)
-        likely, error = searched.inclusion(), situation.observations.course_error
-        sizes = {
-            form.effect: size
+        likely = searched.inclusion()
+        found = [
+            kind(form.label, tuple(p.name for p in form.parameters), size, 0.0 * size, calibrated(likely[form.effect]))
             for form, size, _ in searched.fitted.each()
-            if form.effect in RESTATED and form.label in PLAIN_LABELS and likely[form.effect] > CERTAIN_PROBABILITY
-        }
+            if (kind := RESTATED.get((form.effect, form.label))) and likely[form.effect] > CERTAIN_PROBABILITY
+        ]
         offered, best, least = {effect.id: effect for effect in effects}, tuple[Mounting, ...](), np.inf
-        for names in (chosen for n in range(1, len(sizes) + 1) for chosen in combinations(sizes, n)):
-            bent = np.sum([error[:, :, RESTATED[name][1]] @ sizes[name] for name in names], axis=0)
+        for chosen in (some for n in range(1, len(found) + 1) for some in combinations(found, n)):
+            bent = np.sum([one.bent_rad(situation.observations) for one in chosen], axis=0)
             # what noise hides needs no other course
             if (np.abs(bent) > situation.observations.sigma[:, [Channel.HEADING]]).any():
-                new = [RESTATED[name][0](sizes[name], 0.0 * sizes[name], calibrated(likely[name])) for name in names]
-                mounted, misfit = self._settled(campaign, (*known, *new), searched, offered)
+                mounted, misfit = self._settled(campaign, (*known, *chosen), searched, offered)
                 shown = tuple(fault for fault in mounted if not isinstance(fault, Restated) or fault.is_shown)
                 # a further one has to pay for itself
                 misfit += 2.0 * LOG_EVIDENCE_WINDOW * (len(shown) - len(known))
@@ -136,8 +133,8 @@ class Sought:
         # and - 2 log likelihood of what is left, each channel at its own level
         for _ in range(PLACE_PASSES):
             path = predict(self._observed(_with(campaign, mounted), self.applied)[0])
-            restated = [fault.effect.id for fault in mounted if isinstance(fault, Restated)]
-            plain = [form for name in restated for form in effects[name].forms(path.s) if form.label in PLAIN_LABELS]
+            restated = {fault.effect.id: fault.label for fault in mounted if isinstance(fault, Restated)}
+            plain = [form for name in restated for form in effects[name].forms(path.s) if form.label == restated[name]]
             others = [form for form in searched.fitted.forms if form.effect not in restated]
             forms = plain + [form for form in forms_on(path.s, effects, others) if form is not None]
             fitted = fit(path, estimate_noise(path, residuals(path, path)), forms)

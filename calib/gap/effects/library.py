@@ -289,12 +289,13 @@ def with_mounting_of(
     headed = np.isfinite(campaign.logs.columns.get("ref_theta_rad", np.full(1, np.nan))).any()
     others: list[EffectSection] = []
     for section in effects:
-        kind, _ = RESTATED.get(section.effect, (None, None))
-        if kind is None or section.form != kind.label or (headed and section.effect != ReferenceLeverArm.id):
+        kind = RESTATED.get((section.effect, section.form))
+        if kind is None or (headed and section.effect != ReferenceLeverArm.id):
             others.append(section)
             continue
-        sizes = np.array([section.parameters[name].value for name in kind.names])
-        campaign = kind(sizes, 0.0 * sizes).correct(campaign)
+        names = sorted(section.parameters)
+        sizes = np.array([section.parameters[name].value for name in names])
+        campaign = kind(section.form, tuple(names), sizes, 0.0 * sizes).correct(campaign)
     return campaign, tuple(others)
 
 

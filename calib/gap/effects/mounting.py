@@ -9,9 +9,9 @@ import numpy as np
 from calib.campaign.model import Campaign
 from calib.gap.effects import Effect
 from calib.gap.effects.reference import ReferenceLatency, ReferenceLeverArm, ReferenceYaw
-from calib.gap.observations import POSE, Channel
+from calib.gap.observations import POSE, Channel, Observations
 from calib.gap.predict import Path, residuals
-from calib.types import ComplexArray, FloatArray
+from calib.types import ComplexArray, FloatArray, StrArray
 
 #: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth
 MIN_TURN_RAD: Final = 0.1
@@ -143,9 +143,9 @@ class Restated:
     """A size of the mounting to be stated otherwise, where positions alone tell the heading, too."""
 
     effect: ClassVar[type[Effect]]
-    label: ClassVar[str]
-    names: ClassVar[tuple[str, ...]]
     unit: ClassVar[str]
+    label: str  #: of the effect's form
+    names: tuple[str, ...]  #: of its parameters
     size: FloatArray  #: shape (n_names,)
     sd: FloatArray  #: standard uncertainties
     probability: float = 1.0
@@ -170,8 +170,6 @@ class DisplacedSensor(Restated):
     """How far the sensor is from its stated place, where its positions tell the heading, too."""
 
     effect = ReferenceLeverArm
-    label = ""
-    names = ReferenceLeverArm.NAMES
     unit = "m"
 
     @property
@@ -186,42 +184,56 @@ class DisplacedSensor(Restated):
         reference = replace(stated, sensor_x_m=stated.sensor_x_m + x_m, sensor_y_m=stated.sensor_y_m + y_m)
         return replace(campaign, reference=reference)
 
+    def bent_rad(self, observations: Observations) -> FloatArray:
+        """Return what it does to the course at start and end, shape (n_obs, 2)."""
+        return np.asarray(observations.course_error[:, :, :2] @ self.size)
+
 
 class LateReference(Restated):
-    """How old the reference's readings are, where its positions tell the heading, too."""
+    """How old the reference's readings are, where its positions tell the heading, too; in each session or in all."""
 
     effect = ReferenceLatency
-    label = ReferenceLatency.OF_POSE
-    names = (ReferenceLatency.DELAY,)
     unit = "s"
 
     @property
     def remark(self) -> str:
         """What to do about it."""
-        return f"its readings are {self.size[0]:.3f} s old: take that off their times, then diagnose again"
+        of = [name.replace(ReferenceLatency.DELAY, "", 1).replace("_", " in ", 1) for name in self.names]
+        each = ", ".join(f"{size:.3f} s{session}" for size, session in zip(self.size, of, strict=True))
+        return f"its readings are {each} old: take that off their times, then diagnose again"
 
     def correct(self, campaign: Campaign) -> Campaign:
         """Return the campaign with what the wheels did as long before each time: they are logged more often."""
         logs, moved = campaign.logs, {}
         if "t_s" not in logs.columns:
             return campaign
+        delay_s = self._of_sessions(campaign.runs.label("session"))
         for name in (name for name in logs.columns if name.startswith(_OF_WHEELS)):
             moved[name] = logs.columns[name].copy()
             for run, log in logs.each(2, "t_s", name):
                 known = np.isfinite(log[name])
-                before = np.interp(log["t_s"] - self.size[0], log["t_s"][known], log[name][known])
+                before = np.interp(log["t_s"] - delay_s[run], log["t_s"][known], log[name][known])
                 moved[name][logs.offsets[run] : logs.offsets[run + 1]] = np.where(known, before, np.nan)
         return replace(campaign, logs=replace(logs, columns={**logs.columns, **moved}))
+
+    def bent_rad(self, observations: Observations) -> FloatArray:
+        """Return what it does to the course at start and end, shape (n_obs, 2)."""
+        return observations.course_error[:, :, 2] * self._of_sessions(observations.labels["session"])[:, None]
+
+    def _of_sessions(self, sessions: StrArray) -> FloatArray:
+        own, name = dict(zip(self.names, self.size.tolist(), strict=True)), ReferenceLatency.DELAY
+        return np.array([own.get(f"{name}_{session}", own.get(name, 0.0)) for session in sessions])
 
 
 #: columns of a log that the vehicle measures
 _OF_WHEELS: Final = ("counts_", "steer_", "gyro_", "speed_", "omega_", "v_")
 
 
-#: what a reference of positions alone is restated by, and the columns of `course_error` that it acts through
-RESTATED: Final[dict[str, tuple[type[DisplacedSensor | LateReference], slice]]] = {
-    ReferenceLeverArm.id: (DisplacedSensor, slice(0, 2)),
-    ReferenceLatency.id: (LateReference, slice(2, 3)),
+#: forms that a reference of positions alone is restated by
+RESTATED: Final[dict[tuple[str, str], type[DisplacedSensor | LateReference]]] = {
+    (ReferenceLeverArm.id, ""): DisplacedSensor,
+    (ReferenceLatency.id, ReferenceLatency.OF_POSE): LateReference,
+    (ReferenceLatency.id, ReferenceLatency.BY_SESSION): LateReference,
 }
 
 Mounting = TurnedReference | DisplacedSensor | LateReference

@@ -8,7 +8,7 @@ from typing import ClassVar, Final
 import numpy as np
 
 from calib.gap import Perturbation, total_perturbation
-from calib.gap.effects import Centre, Effect, Family, Form, Parameter, Perturbations, varies
+from calib.gap.effects import Centre, Effect, Family, Form, Offer, Parameter, Perturbations, varies
 from calib.gap.effects.quantities import end_motion, reach, standstill_mps
 from calib.gap.observations import Channel, Observations
 from calib.gap.predict import Path, predict
@@ -229,7 +229,8 @@ class ReferenceScale(Effect):
 class ReferenceLatency(Effect):
     """The reading is tau old (or, below 0, ahead of the counts): e_s = -tau v_end and e_theta = -tau omega_end.
 
-    A window of a recording begins in motion too, and its start, from which all is counted, is as late as its end.
+    A window of a recording begins in motion too, and its start, from which all is counted, is as late as its end. All
+    sessions share tau, or each has its own.
     """
 
     id = "reference_latency"
@@ -240,6 +241,7 @@ class ReferenceLatency(Effect):
     separates = "readings after the stop beside readings on the move"
     OF_POSE: ClassVar[str] = "end pose"
     OF_CLOCK: ClassVar[str] = "a clock at another rate"
+    BY_SESSION: ClassVar[str] = "another delay in each session"
     DELAY: ClassVar[str] = "latency"
 
     def forms(self, observations: Observations) -> list[Form]:
@@ -276,4 +278,16 @@ class ReferenceLatency(Effect):
             off = off_course(path, path.s.course_error[:, :, 2] * since.get(label, 1.0))
             return [total_perturbation(path.s, [late[label], off])]
 
-        return self.offer([(label, (parameters[label],), partial(push, label=label)) for label in late])
+        session = observations.labels["session"]
+        names = np.unique(session).tolist()
+
+        def by_session(path: Path) -> list[Perturbation]:
+            parts = push(path, self.OF_POSE)[0].parts()
+            within = [session == name for name in names]
+            return [Perturbation(*(part if part is None else (part.T * here).T for part in parts)) for here in within]
+
+        offers: list[Offer] = [(label, (parameters[label],), partial(push, label=label)) for label in late]
+        if has_pose and (len(names) > 1 or observations.applied):
+            delays = [replace(parameters[self.OF_POSE], name=f"{self.DELAY}_{name}") for name in names]
+            offers.append((self.BY_SESSION, tuple(delays), by_session))
+        return self.offer(offers)

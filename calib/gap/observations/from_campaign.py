@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.checks import listed
+from calib.campaign.checks.paths import lost_stretches_s
 from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_SIGMA, GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS, OdometryModel, Reference
@@ -51,28 +52,32 @@ def edges_along(way_m: FloatArray, count: float) -> IntArray:
     return np.asarray(np.minimum(edges, len(way_m) - 1), dtype=np.int64)
 
 
-def cut(whole: Observation, setup: Setup, length_m: float) -> list[Observation]:
+def cut(whole: Observation, setup: Setup, length_m: float, lost_s: FloatArray | None = None) -> list[Observation]:
     """Cut a recording into windows of about a length of rolling; empty if there is but one.
 
+    Those that hold a time (n, 2) of `lost_s`, at which the reference does not follow the wheels, are left out.
     A front wheel is kept if it drives the odometry, else compared over whole runs only, as a laser's distance is.
     """
     if (reference := whole.reference) is None:
         return []
     log = setup.campaign.logs.of(whole.run)
     edges = edges_along(reference.travelled_m, float(np.rint(reference.travelled_m[-1] / length_m)))
+    rows, way, half_m = log_rows(log), reference.travelled_m, 0.0
     if isinstance(reference, CourseOverGround):
         # courses about a pose, none beside it: wheels that are off bend these
-        half, way = 0.5 * reference.way_m, reference.travelled_m
-        edges = np.unique(
-            np.clip(edges, np.searchsorted(way, half), np.searchsorted(way, way[-1] - half, side="right") - 1)
-        )
-    rows = log_rows(log)
+        half_m = 0.5 * reference.way_m
+        ends = np.searchsorted(way, half_m), np.searchsorted(way, way[-1] - half_m, side="right") - 1
+        edges = np.unique(np.clip(edges, *ends))
+    lost_m = np.zeros((0, 2)) if lost_s is None else np.interp(lost_s, log["t_s"][reference.rows], way)
+    lost_m += [-half_m, half_m]
     windows: list[Observation] = []
-    for first, last in pairwise(edges.tolist()):
+    for number, (first, last) in enumerate(pairwise(edges.tolist())):
+        if ((lost_m[:, 0] < way[last]) & (lost_m[:, 1] > way[first])).any():
+            continue
         inside = rows[(rows >= reference.rows[first]) & (rows <= reference.rows[last])]
         if len(inside) < MIN_WINDOW_SAMPLES:
             continue
-        unit = replace(observation_from_log(whole.run, log, inside, setup.per_rad), window=len(windows))
+        unit = replace(observation_from_log(whole.run, log, inside, setup.per_rad), window=number)
         unit = unit if setup.stands_in else replace(unit, front_rad=None, steer_rad=None)
         windows.append(_between(unit, reference, first, last, setup.campaign.reference))
     return windows if len(windows) > 1 else []
@@ -220,8 +225,9 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
     ends = np.isfinite(campaign.runs.number("ref_x_m")) & setup.in_map
     units: list[Observation] = []
     n_cut = lacking = 0
+    lost = lost_stretches_s(campaign) if into_windows else {}
     for run in recorded:
-        windows = cut(run, setup, length_m) if into_windows else []
+        windows = cut(run, setup, length_m, lost.get(run.run)) if into_windows else []
         n_cut += bool(windows)
         posed = windows or [_with_gyro(_with_log_pose(run, setup), setup)]
         lacking += sum(bool(ends[run.run] and np.isnan(unit.measured[1:]).all()) for unit in posed)
@@ -234,6 +240,8 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
         notes.append(f"{without_counts} runs have no encoder counts and were omitted")
     if n_cut:
         notes.append(f"{n_cut} recordings with a continuous reference were cut into windows of about {length_m:.2g} m")
+    if lost:
+        notes.append(f"of {len(lost)} recordings windows are left out in which the position does not follow the wheels")
     if any(isinstance(each, CourseOverGround) for each in references):
         taken = "headings are taken from the course over ground"
         notes.append(f"the reference measures positions without a heading: {taken}")

@@ -8,12 +8,13 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from calib.campaign.checks.paths import lost_reference, mirrored_path
+from calib.campaign.checks.paths import lost_reference, lost_stretches_s, mirrored_path
 from tests.campaign.checks.test_poses import driven_squares
 from tests.kinematics.campaigns import Truth, campaign, square
 from tests.kinematics.test_named_blunders import Columns, changed
 
 POSE = ("ref_x_m", "ref_y_m", "ref_theta_rad")
+COUNTS = ("counts_left", "counts_right")
 
 
 def _at(log: Columns, begin: float, end: float) -> np.ndarray:
@@ -31,6 +32,15 @@ def _frozen(end: float) -> Callable[[Columns], Columns]:
 
 def _leaping(end: float) -> Callable[[Columns], Columns]:
     return lambda log: log | {"ref_x_m": log["ref_x_m"] + 0.18 * _at(log, 0.3, end)}
+
+
+def _aside(log: Columns) -> Columns:
+    """Ten readings a second, 5 cm apart as the wheels roll, a stretch of which lies 0.25 m to the left."""
+    course = np.arctan2(np.gradient(log["ref_y_m"]), np.gradient(log["ref_x_m"]))
+    off = 0.25 * _at(log, 0.32, 0.36) * np.exp(1j * (np.round(course / (np.pi / 2)) * np.pi / 2 + np.pi / 2))
+    moved = log | {"ref_x_m": log["ref_x_m"] + off.real, "ref_y_m": log["ref_y_m"] + off.imag}
+    read = np.arange(len(log["t_s"])) % 15 == 0
+    return moved | {name: np.where(read, moved[name], np.nan) for name in POSE}
 
 
 def _scattered(log: Columns) -> Columns:
@@ -60,6 +70,7 @@ def _noisy(log: Columns) -> Columns:
         (_frozen(1.1), "stands still", 6.0),
         (_leaping(0.4), "leaps", 6.0),
         (_leaping(1.1), "leaps", 6.0),
+        (_aside, "leaps", None),
         (_scattered, "leaps", None),
     ],
 )
@@ -75,6 +86,24 @@ def test_a_reference_that_was_lost_is_named_with_its_time(
         # of 20 s, in samples of 20 ms; a leap that ends is one, too
         assert from_s is None or any(abs(begin - at) < 0.05 for at in (from_s, 8.0))
         assert begin < end
+
+
+def _sliding(log: Columns) -> Columns:
+    """Wheels that are locked while the vehicle goes on for a twentieth of the run."""
+    locked = _at(log, 0.3, 0.35)
+    held = {name: log[name] - np.cumsum(np.diff(log[name], prepend=0.0) * locked) for name in COUNTS}
+    read = np.arange(len(log["t_s"])) % 25 == 0
+    return log | held | {name: np.where(read, log[name], np.nan) for name in POSE}
+
+
+@pytest.mark.parametrize(("change", "lost"), [(_aside, True), (_frozen(0.45), True), (_sliding, False)])
+def test_stretches_are_the_references_where_no_skid_explains_them(
+    change: Callable[[Columns], Columns], lost: bool
+) -> None:
+    """On locked wheels a vehicle slides ahead, not aside; a position that stands to the last digit is not read."""
+    made = driven_squares(change, 2, 5)
+    assert [note.run_id for note in lost_reference(made)] == ["r002", "r005"]
+    assert list(lost_stretches_s(made)) == [2, 5] * lost
 
 
 @pytest.mark.parametrize(

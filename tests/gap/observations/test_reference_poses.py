@@ -262,3 +262,18 @@ def test_repeats_that_share_no_session_support_no_noise_level_far_beyond_the_sta
     campaign = campaign_of(logs, Reference(frame="start", sigma_xy_m=NOISE, sigma_theta_rad=NOISE), session=sessions)
     found = diagnose_in_full(campaign, plan=False)
     assert found.kind.value == verdict or (verdict is None and found.kind.value not in ("no_gap", "explained"))
+
+
+def test_windows_in_which_the_reference_leaps_are_left_out() -> None:
+    """A stretch of positions half a metre aside spoils the windows at its ends; all others are as without it."""
+    truth = routes(1)[0]
+    log = truth.counts() | seen(truth, in_map=True)
+    n = len(log["ref_x_m"])
+    inside = (np.arange(n) > 0.3 * n) & (np.arange(n) < 0.7 * n)
+    moved = log | {name: log[name] + 0.5 * inside for name in ("ref_x_m", "ref_y_m")}
+    whole, seen_off = (
+        observations_of(campaign_of([each], Reference(frame="map")), into_windows=True) for each in (log, moved)
+    )
+    kept = np.isin(whole.window, seen_off.window)
+    assert 0 < len(whole) - kept.sum() <= 2 and any("left out" in note for note in seen_off.notes)
+    np.testing.assert_allclose(seen_off.measured[:, 1:4], whole.measured[kept, 1:4], atol=ROUNDING)
