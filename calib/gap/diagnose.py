@@ -1,6 +1,6 @@
 """The pipeline of a diagnosis: from a campaign to the causes of its gap and what their correction is worth."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import count
@@ -27,7 +27,7 @@ from calib.gap.decision.kind import (
     tells_more,
     with_left,
 )
-from calib.gap.decision.sought import Sought, lone_recordings, lone_run, refuse_copied, without_runs
+from calib.gap.decision.sought import Sought, lone_recordings, lone_run, lone_windows, refuse_copied, without_runs
 from calib.gap.effects import Effect
 from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.effects.library import ELSEWHERE, beyond_law, library, model_of, with_mounting_of
@@ -90,17 +90,10 @@ def diagnose_in_full(
     own = planted is None and (bool(applied) or not np.isfinite(seen.simulated).any())
     if own:
         refuse_copied(situation.campaign, predict(seen))
-    judge = partial(_judged, kept, (seed, model_name, candidates, journeys), progress)
-    diagnosis = judge(sought, situation)
-    doubtful = not diagnosis.recommended and diagnosis.kind is not VerdictKind.NO_GAP
-    unknown = diagnosis.kind is VerdictKind.UNKNOWN and bool(OF_A_PATH.intersection(campaign.logs.columns))
-    if own and doubtful and (seen.windowed or unknown) and (lone := lone_recordings(situation)):
-        others = without_runs(campaign, lone)
-        judged = partial(_judged, others, (seed, model_name, candidates, journeys), progress)
-        again = judged(sought, replace(sought.situation(others), omitted=lone))
-        named = again.kind is not VerdictKind.UNKNOWN if unknown else not diagnosis.causes
-        if again.recommended or again.kind is VerdictKind.NO_GAP or named:
-            kept, judge, diagnosis = others, judged, again
+    judge = partial(_judged, (seed, model_name, candidates, journeys), progress)
+    diagnosis = judge(kept, sought, situation)
+    if own:
+        kept, diagnosis = _beside_lone(judge, kept, sought, situation, diagnosis)
     unsure = all(cause.probability < EVEN_PROBABILITY for cause in diagnosis.causes)
     if own and not seen.windowed and (unsure or diagnosis.recommended):
         along = replace(sought, into_windows=True)
@@ -108,7 +101,7 @@ def diagnose_in_full(
         nominal = predict(windows.observations)
         if windows.observations.windowed and diagnosis.recommended:
             diagnosis = kept_back(diagnosis, nominal, estimate_noise(nominal, residuals(nominal, nominal)))
-        elif windows.observations.windowed and tells_more(by_windows := judge(along, windows), diagnosis):
+        elif windows.observations.windowed and tells_more(by_windows := judge(kept, along, windows), diagnosis):
             diagnosis = kept_back(by_windows, diagnosis.arrays.nominal, diagnosis.arrays.noise)
     diagnosis = beside_geometry(diagnosis, kept) if own else diagnosis
     notes = (f"copies of other runs, which count once: {listed(copied)}",) * bool(copied) + diagnosis.notes
@@ -123,10 +116,48 @@ def diagnose_in_full(
     return replace(diagnosis, next_runs=tuple(next_runs(*known, apart_on=partial(apart_on, evidence))))
 
 
+def _beside_lone(
+    judge: Callable[[Campaign, Sought, Situation], Diagnosis],
+    kept: Campaign,
+    sought: Sought,
+    situation: Situation,
+    diagnosis: Diagnosis,
+) -> tuple[Campaign, Diagnosis]:
+    """Return campaign and diagnosis without recordings or windows that are off by themselves, where that settles it.
+
+    Parameters
+    ----------
+    judge
+        `_judged`, asked and all.
+    kept, sought, situation, diagnosis
+        What was judged, and how it ended.
+    """
+
+    def doubtful() -> bool:
+        return not diagnosis.recommended and diagnosis.kind is not VerdictKind.NO_GAP
+
+    seen = situation.observations
+    unknown = diagnosis.kind is VerdictKind.UNKNOWN and bool(OF_A_PATH.intersection(kept.logs.columns))
+    if doubtful() and (seen.windowed or unknown) and (lone := lone_recordings(situation)):
+        others = without_runs(kept, lone)
+        again = judge(others, sought, replace(sought.situation(others), omitted=lone))
+        named = again.kind is not VerdictKind.UNKNOWN if unknown else not diagnosis.causes
+        if again.recommended or again.kind is VerdictKind.NO_GAP or named:
+            kept, diagnosis = others, again
+    lost_s, omitted = lone_windows(situation) if doubtful() and seen.windowed else ({}, {})
+    if lost_s:
+        read = replace(sought, lost_s=lost_s)
+        omitted = {**diagnosis.arrays.situation.omitted, **omitted}
+        again = judge(kept, read, replace(read.situation(kept), omitted=omitted))
+        if again.recommended or again.kind is VerdictKind.NO_GAP:
+            diagnosis = again
+    return kept, diagnosis
+
+
 def _judged(
-    recorded: Campaign,
     asked: tuple[int, str, Sequence[Effect] | None, Campaign | None],
     progress: Progress,
+    recorded: Campaign,
     sought: Sought,
     situation: Situation,
 ) -> Diagnosis:

@@ -43,7 +43,7 @@ class _Unfollowed(NamedTuple):
     between_s: FloatArray  #: shape (n, 2): begin and end
     off_m: FloatArray  #: shape (n,)
     stands: BoolArray  #: whether the position stands still
-    no_skid: BoolArray  #: whether it does, to the last digit, or leaps aside: on locked wheels a vehicle slides ahead
+    no_skid: BoolArray  #: whether it does, exactly, or leaps aside: on locked wheels a vehicle slides ahead
 
 
 def _unfollowed(campaign: Campaign) -> Iterator[_Unfollowed]:

@@ -330,7 +330,7 @@ def _on_omitted(omitted: Mapping[str, float]) -> str:
         return ""
     runs = sentences.joined((f"{run} ({100 * share:.0f} % of its length)" for run, share in omitted.items()), "and")
     return (
-        f" Omitted, since no other run ends off nearly as far: {runs}. Look for a counter that was reset or stood "
+        f" Omitted, since no other ends off nearly as far: {runs}. Look for a counter that was reset or stood "
         "still, or a reference that is late, mistyped or another run's, with 'calib check'."
     )
 

@@ -1,7 +1,7 @@
 """What was driven: single runs that are off by themselves omitted, blunders of encoders and mounting corrected."""
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final
 
@@ -33,18 +33,21 @@ from calib.gap.effects.mounting import RESTATED, Mounting, Restated, TurnedRefer
 from calib.gap.effects.reference import ReferenceYaw
 from calib.gap.effects.simulator import as_simulated
 from calib.gap.effects.steering import steering_blunder
-from calib.gap.inference import CERTAIN_PROBABILITY, FALSE_REJECTION, LOG_EVIDENCE_WINDOW
+from calib.gap.inference import CERTAIN_PROBABILITY, EVEN_PROBABILITY, FALSE_REJECTION, LOG_EVIDENCE_WINDOW
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, fit, recalibrate, squares_by_unit, whitened, whitened_rows
 from calib.gap.inference.local_search import SearchResult
 from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.observations import Channel, Observations
 from calib.gap.observations.from_campaign import check_distances, observations_of
 from calib.gap.predict import Path, measured_gap, predict, residuals
+from calib.kinematics.adequacy import FEW_OUTLIERS, OUTLIER_CHANCE
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: fits about a sensor's place and delay found, two settle one; a step below so many standard uncertainties is the last
 PLACE_PASSES: Final = 8
 CLOSE: Final = 0.1
+#: windows most like another one
+ALIKE: Final = 4
 #: headings that agree with the counts within this share of their standard uncertainty, on so many runs, one turning by
 #: so much, are the odometry's
 COPIED_SHARE: Final = 1e-6
@@ -60,6 +63,7 @@ class Sought:
     applied: Sequence[EffectSection]
     exclude: tuple[str, ...]
     into_windows: bool | None = None
+    lost_s: Mapping[str, FloatArray] = field(default_factory=dict)  #: see `observations_of`
 
     def situation(self, campaign: Campaign) -> Situation:
         """Return what was driven, blunders of the reference's mounting and of the encoders corrected."""
@@ -208,7 +212,7 @@ class Sought:
         return windows.windowed and clocked < BLUNDER_RESIDUAL_SHARE * counted
 
     def _observed(self, campaign: Campaign, applied: Sequence[EffectSection]) -> tuple[Observations, tuple[str, ...]]:
-        observations = observations_of(campaign, self.model, into_windows=self.into_windows)
+        observations = observations_of(campaign, self.model, into_windows=self.into_windows, lost_s=self.lost_s)
         if np.isfinite(observations.simulated).any():
             observations = as_simulated(observations)
         if blunder := steering_blunder(observations):
@@ -313,6 +317,39 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
     alone = off(others)
     apart = most > 0 and alone[worst] > BAD_RUN_RATIO * max(np.delete(alone, worst))
     return _named(others, unit, [worst]) if apart and not _go_on(others, noise, unit, [worst]) else {}
+
+
+def lone_windows(situation: Situation) -> tuple[dict[str, FloatArray], dict[str, float]]:
+    """Return few windows that noise cannot explain beside the others' radii: times by run, names with the share off.
+
+    Times are (n, 2), one in each window, twice. Nothing where those most like one of them, in motion or in place, are
+    off with it: that is no single reading's fault.
+    """
+    from scipy.special import fdtri
+
+    nominal, seen = predict(situation.observations), situation.observations
+    noise, rows, bad = estimate_noise(nominal, residuals(nominal, nominal)), seen.usable.sum(axis=1), np.zeros(0, bool)
+    for _ in range(PLACE_PASSES):
+        others = _by_others(nominal, noise, bad) if bad.any() else recalibrate(nominal, noise)
+        level = estimate_noise(others.path, others.left)
+        chance = 1.0 - OUTLIER_CHANCE / len(rows)
+        most = rows * np.asarray(fdtri(np.maximum(rows, 1), max(level.dof, 3.0), chance))
+        before, bad = bad, (squares_by_unit(nominal, level, others.left) > most) & seen.from_log
+        if not bad.any() or bad.mean() > FEW_OUTLIERS or not level.supported:
+            return {}, {}
+        if np.array_equal(before, bad):
+            break
+    motion = np.stack([np.nan_to_num(seen.measured[:, Channel.HEADING]), seen.length_m], axis=1)
+    for of in (motion, seen.start_pose[:, :2]):
+        scaled = of / np.maximum(np.std(of, axis=0), 1e-12)
+        apart = np.nan_to_num(np.linalg.norm(scaled[bad][:, None] - scaled, axis=2), nan=np.inf)
+        apart[seen.run[bad][:, None] == seen.run] = np.inf
+        if (bad[np.argsort(apart, axis=1)[:, :ALIKE]].mean(axis=1) > EVEN_PROBABILITY).any():
+            return {}, {}
+    ids, middle_s = seen.labels["run_id"][bad], 0.5 * (seen.start_s + seen.time_s[seen.starts[1:] - 1])[bad]
+    names = [f"{run} at {at_s:.3g} s" for run, at_s in zip(ids, middle_s, strict=True)]
+    shares = dict(zip(names, misfit(others.path)[bad].tolist(), strict=True))
+    return {str(run): np.repeat(middle_s[ids == run, None], 2, axis=1) for run in np.unique(ids)}, shares
 
 
 def _go_on(others: Fitted, noise: Noise, unit: IntArray, lone: Sequence[int]) -> bool:

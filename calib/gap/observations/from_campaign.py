@@ -52,10 +52,10 @@ def edges_along(way_m: FloatArray, count: float) -> IntArray:
     return np.asarray(np.minimum(edges, len(way_m) - 1), dtype=np.int64)
 
 
-def cut(whole: Observation, setup: Setup, length_m: float, lost_s: FloatArray | None = None) -> list[Observation]:
+def cut(whole: Observation, setup: Setup, length_m: float, lost_s: FloatArray) -> list[Observation]:
     """Cut a recording into windows of about a length of rolling; empty if there is but one.
 
-    Those that hold a time (n, 2) of `lost_s`, at which the reference does not follow the wheels, are left out.
+    Those that hold a time (n, 2) of `lost_s`, at which the reference does not follow the wheels, are omitted.
     A front wheel is kept if it drives the odometry, else compared over whole runs only, as a laser's distance is.
     """
     if (reference := whole.reference) is None:
@@ -68,8 +68,7 @@ def cut(whole: Observation, setup: Setup, length_m: float, lost_s: FloatArray | 
         half_m = 0.5 * reference.way_m
         ends = np.searchsorted(way, half_m), np.searchsorted(way, way[-1] - half_m, side="right") - 1
         edges = np.unique(np.clip(edges, *ends))
-    lost_m = np.zeros((0, 2)) if lost_s is None else np.interp(lost_s, log["t_s"][reference.rows], way)
-    lost_m += [-half_m, half_m]
+    lost_m = np.interp(lost_s, log["t_s"][reference.rows], way) + np.array([-half_m, half_m])
     windows: list[Observation] = []
     for number, (first, last) in enumerate(pairwise(edges.tolist())):
         if ((lost_m[:, 0] < way[last]) & (lost_m[:, 1] > way[first])).any():
@@ -80,7 +79,7 @@ def cut(whole: Observation, setup: Setup, length_m: float, lost_s: FloatArray | 
         unit = replace(observation_from_log(whole.run, log, inside, setup.per_rad), window=number)
         unit = unit if setup.stands_in else replace(unit, front_rad=None, steer_rad=None)
         windows.append(_between(unit, reference, first, last, setup.campaign.reference))
-    return windows if len(windows) > 1 else []
+    return windows if len(windows) > 1 or len(lost_s) else []
 
 
 def _between(unit: Observation, reference: ReferencePoses, first: int, last: int, settings: Reference) -> Observation:
@@ -109,27 +108,33 @@ MIN_REPLICATED = 8
 
 
 def observations_of(
-    campaign: Campaign, model: OdometryModel | None = None, *, into_windows: bool | None = None
+    campaign: Campaign,
+    model: OdometryModel | None = None,
+    *,
+    into_windows: bool | None = None,
+    lost_s: Mapping[str, FloatArray] | None = None,
 ) -> Observations:
     """Arrange a campaign for the diagnosis; `model`: the simulator's, by default the campaign's own.
 
     Recordings with poses are cut into windows where runs are fewer than a dozen, or hardly any was driven twice, or by
-    `into_windows`. Refused where no run has both counts and something measured.
+    `into_windows`, but for those that hold a time at which the reference was lost: found, or (n, 2) by the run's id in
+    `lost_s`. Refused where no run has both counts and something measured.
     """
     setup = _setup(campaign, model)
+    lost_s = lost_s or {}
     n_runs, samples = len(setup.campaign.runs), observation.MAX_STEPS + 1
     # thousands of small arrays would leave memory in holes
     room = np.empty((len(observation.ALONG_RUN), n_runs, samples))
     recorded = [_recorded(run, setup, room[:, run]) for run in range(n_runs)]
     with_counts = [run for run in recorded if run is not None]
     if into_windows is not None:
-        return _arranged(with_counts, setup, into_windows=into_windows, share=3 * n_runs / WINDOWS_WANTED)
+        return _arranged(with_counts, setup, lost_s, into_windows=into_windows, share=3 * n_runs / WINDOWS_WANTED)
     few = len(recorded) < MIN_WHOLE_RUNS
-    observations = _arranged(with_counts, setup, into_windows=few)
+    observations = _arranged(with_counts, setup, lost_s, into_windows=few)
     sizes = np.bincount(observations.condition)
     repeated = int(sizes[sizes > 1].sum())
     if not few and any(run.reference is not None for run in with_counts) and repeated < MIN_REPLICATED:
-        return _arranged(with_counts, setup, into_windows=True)
+        return _arranged(with_counts, setup, lost_s, into_windows=True)
     return observations
 
 
@@ -214,7 +219,14 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
         yield (times[inside] - begin, reference.poses[inside]) if inside.sum() > 1 else None
 
 
-def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, share: float = 1.0) -> Observations:
+def _arranged(
+    recorded: list[Observation],
+    setup: Setup,
+    lost_s: Mapping[str, FloatArray],
+    *,
+    into_windows: bool,
+    share: float = 1.0,
+) -> Observations:
     campaign, references = setup.campaign, [run.reference for run in recorded if run.reference is not None]
     travelled_m = sum(float(each.travelled_m[-1]) for each in references)
     # of three windows one begins and ends on the move
@@ -226,10 +238,13 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
     units: list[Observation] = []
     n_cut = lacking = 0
     lost = lost_stretches_s(campaign) if into_windows else {}
+    nothing = np.zeros((0, 2))
     for run in recorded:
-        windows = cut(run, setup, length_m, lost.get(run.run)) if into_windows else []
+        by_id = lost_s.get(str(campaign.runs.run_id[run.run]), nothing)
+        off_s = np.concatenate([by_id, lost.get(run.run, nothing)]) if into_windows else nothing
+        windows = cut(run, setup, length_m, off_s) if into_windows else []
         n_cut += bool(windows)
-        posed = windows or [_with_gyro(_with_log_pose(run, setup), setup)]
+        posed = windows if len(off_s) else windows or [_with_gyro(_with_log_pose(run, setup), setup)]
         lacking += sum(bool(ends[run.run] and np.isnan(unit.measured[1:]).all()) for unit in posed)
         units.extend(posed)
         if windows and not setup.stands_in:
@@ -241,7 +256,7 @@ def _arranged(recorded: list[Observation], setup: Setup, *, into_windows: bool, 
     if n_cut:
         notes.append(f"{n_cut} recordings with a continuous reference were cut into windows of about {length_m:.2g} m")
     if lost:
-        notes.append(f"of {len(lost)} recordings windows are left out in which the position does not follow the wheels")
+        notes.append(f"of {len(lost)} recordings windows are omitted in which the position does not follow the wheels")
     if any(isinstance(each, CourseOverGround) for each in references):
         taken = "headings are taken from the course over ground"
         notes.append(f"the reference measures positions without a heading: {taken}")

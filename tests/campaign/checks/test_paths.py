@@ -100,7 +100,7 @@ def _sliding(log: Columns) -> Columns:
 def test_stretches_are_the_references_where_no_skid_explains_them(
     change: Callable[[Columns], Columns], lost: bool
 ) -> None:
-    """On locked wheels a vehicle slides ahead, not aside; a position that stands to the last digit is not read."""
+    """On locked wheels a vehicle slides ahead, not aside; a position that is repeated exactly is not read."""
     made = driven_squares(change, 2, 5)
     assert [note.run_id for note in lost_reference(made)] == ["r002", "r005"]
     assert list(lost_stretches_s(made)) == [2, 5] * lost

@@ -264,7 +264,7 @@ def test_repeats_that_share_no_session_support_no_noise_level_far_beyond_the_sta
     assert found.kind.value == verdict or (verdict is None and found.kind.value not in ("no_gap", "explained"))
 
 
-def test_windows_in_which_the_reference_leaps_are_left_out() -> None:
+def test_windows_in_which_the_reference_leaps_are_omitted() -> None:
     """A stretch of positions half a metre aside spoils the windows at its ends; all others are as without it."""
     truth = routes(1)[0]
     log = truth.counts() | seen(truth, in_map=True)
@@ -275,5 +275,5 @@ def test_windows_in_which_the_reference_leaps_are_left_out() -> None:
         observations_of(campaign_of([each], Reference(frame="map")), into_windows=True) for each in (log, moved)
     )
     kept = np.isin(whole.window, seen_off.window)
-    assert 0 < len(whole) - kept.sum() <= 2 and any("left out" in note for note in seen_off.notes)
+    assert 0 < len(whole) - kept.sum() <= 2 and any("omitted" in note for note in seen_off.notes)
     np.testing.assert_allclose(seen_off.measured[:, 1:4], whole.measured[kept, 1:4], atol=ROUNDING)
