@@ -332,10 +332,15 @@ def lone_windows(situation: Situation) -> tuple[dict[str, FloatArray], dict[str,
     for _ in range(PLACE_PASSES):
         others = _by_others(nominal, noise, bad) if bad.any() else recalibrate(nominal, noise)
         level = estimate_noise(others.path, others.left)
-        chance = 1.0 - OUTLIER_CHANCE / len(rows)
-        most = rows * np.asarray(fdtri(np.maximum(rows, 1), max(level.dof, 3.0), chance))
-        before, bad = bad, (squares_by_unit(nominal, level, others.left) > most) & seen.from_log
-        if not bad.any() or bad.mean() > FEW_OUTLIERS or not level.supported:
+        expected, most = (
+            np.asarray(fdtri(np.maximum(rows, 1), max(level.dof, 3.0), chance))
+            for chance in (0.5, 1.0 - OUTLIER_CHANCE / len(rows))
+        )
+        squares = squares_by_unit(nominal, level, others.left) / np.maximum(rows, 1)
+        # the level holds those that are off; the median does not
+        usual = min(float(np.median(squares / expected)), 1.0)
+        before, bad = bad, (squares > usual * most) & seen.from_log
+        if not bad.any() or bad.mean() > FEW_OUTLIERS:
             return {}, {}
         if np.array_equal(before, bad):
             break
