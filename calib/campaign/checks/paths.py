@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -21,32 +21,22 @@ _NEAR: Final = 5
 
 def lost_reference(campaign: Campaign) -> Iterator[Note]:
     """Find positions along the path that stand still while the wheels roll, or leap further."""
-    for lost in _unfollowed(campaign):
-        at = int(np.argmax(lost.off_m))
-        begin_s, end_s = lost.between_s[at]
-        what = "stands still while they roll" if lost.stands[at] else "leaps further than they roll"
-        text = f"""the position does not follow the wheels {len(lost.off_m)} time(s), most from {begin_s:.4g} to
-            {end_s:.4g} s: it {what}, by {few_digits(lost.off_m[at])} m; lost or hidden? Empty these cells, or exclude
-            the run"""
-        yield checks.cell_note(campaign, lost.run, "log ref_x_m, ref_y_m", text, "lost_reference")
+    for run, between_s, off_m, stands, _ in _unfollowed(campaign):
+        at = int(np.argmax(off_m))
+        what = "stands still while they roll" if stands[at] else "leaps further than they roll"
+        text = f"""the position does not follow the wheels {len(off_m)} time(s), most from {between_s[at, 0]:.4g} to
+            {between_s[at, 1]:.4g} s: it {what}, by {few_digits(off_m[at])} m; lost or hidden? Empty these cells, or
+            exclude the run"""
+        yield checks.cell_note(campaign, run, "log ref_x_m, ref_y_m", text, "lost_reference")
 
 
 def lost_stretches_s(campaign: Campaign) -> dict[int, FloatArray]:
     """Return begin and end (n, 2), by run, of each time at which it is the reference that is off: no wheel skids so."""
-    return {lost.run: lost.between_s[lost.no_skid] for lost in _unfollowed(campaign) if lost.no_skid.any()}
+    return {run: between_s[no_skid] for run, between_s, _, _, no_skid in _unfollowed(campaign) if no_skid.any()}
 
 
-class _Unfollowed(NamedTuple):
-    """Where positions of a run do not follow its wheels."""
-
-    run: int
-    between_s: FloatArray  #: shape (n, 2): begin and end
-    off_m: FloatArray  #: shape (n,)
-    stands: BoolArray  #: whether the position stands still
-    no_skid: BoolArray  #: whether it does, exactly, or leaps aside: on locked wheels a vehicle slides ahead
-
-
-def _unfollowed(campaign: Campaign) -> Iterator[_Unfollowed]:
+def _unfollowed(campaign: Campaign) -> Iterator[tuple[int, FloatArray, FloatArray, BoolArray, BoolArray]]:
+    # runs, times (n, 2), by how much, whether it stands still, whether that or aside: locked wheels slide ahead
     campaign = checks.on_axle(campaign)
     vehicle, sensor = campaign.vehicle, campaign.reference
     least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
@@ -77,7 +67,7 @@ def _unfollowed(campaign: Campaign) -> Iterator[_Unfollowed]:
         most = least + _UNUSUAL * np.quantile(np.append(off_m, 0.0), 0.9, method="lower")
         if (far := off_m > most).any():
             between_s = log["t_s"][known[np.stack([first, after], axis=1)[far]]]
-            yield _Unfollowed(run, between_s, off_m[far], (stand > leap)[far], (np.maximum(stand, aside) > most)[far])
+            yield run, between_s, off_m[far], (stand > leap)[far], (np.maximum(stand, aside) > most)[far]
 
 
 def _turned_back(moved_m: ComplexArray, rolled_m: ComplexArray) -> ComplexArray:
