@@ -144,9 +144,9 @@ def _beside_lone(
         named = again.kind is not VerdictKind.UNKNOWN if unknown else not diagnosis.causes
         if again.recommended or again.kind is VerdictKind.NO_GAP or named:
             kept, diagnosis = others, again
-    lost_s, omitted = lone_windows(situation) if doubtful() and seen.windowed else ({}, {})
-    if lost_s:
-        read = replace(sought, lost_s=lost_s)
+    without, omitted = lone_windows(situation) if doubtful() and seen.windowed else (set(), {})
+    if without:
+        read = replace(sought, without=without)
         omitted = {**diagnosis.arrays.situation.omitted, **omitted}
         again = judge(kept, read, replace(read.situation(kept), omitted=omitted))
         if again.recommended or again.kind is VerdictKind.NO_GAP:

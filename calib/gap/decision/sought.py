@@ -1,7 +1,7 @@
 """What was driven: single runs that are off by themselves omitted, blunders of encoders and mounting corrected."""
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final
 
@@ -63,7 +63,7 @@ class Sought:
     applied: Sequence[EffectSection]
     exclude: tuple[str, ...]
     into_windows: bool | None = None
-    lost_s: Mapping[str, FloatArray] = field(default_factory=dict)  #: see `observations_of`
+    without: Collection[tuple[str, int]] = ()  #: see `observations_of`
 
     def situation(self, campaign: Campaign) -> Situation:
         """Return what was driven, blunders of the reference's mounting and of the encoders corrected."""
@@ -212,7 +212,7 @@ class Sought:
         return windows.windowed and clocked < BLUNDER_RESIDUAL_SHARE * counted
 
     def _observed(self, campaign: Campaign, applied: Sequence[EffectSection]) -> tuple[Observations, tuple[str, ...]]:
-        observations = observations_of(campaign, self.model, into_windows=self.into_windows, lost_s=self.lost_s)
+        observations = observations_of(campaign, self.model, into_windows=self.into_windows, without=self.without)
         if np.isfinite(observations.simulated).any():
             observations = as_simulated(observations)
         if blunder := steering_blunder(observations):
@@ -319,11 +319,10 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
     return _named(others, unit, [worst]) if apart and not _go_on(others, noise, unit, [worst]) else {}
 
 
-def lone_windows(situation: Situation) -> tuple[dict[str, FloatArray], dict[str, float]]:
-    """Return few windows that noise cannot explain beside the others' radii: times by run, names with the share off.
+def lone_windows(situation: Situation) -> tuple[set[tuple[str, int]], dict[str, float]]:
+    """Return few windows that noise cannot explain beside the others' radii, and the share of each off, by its time.
 
-    Times are (n, 2), one in each window, twice. Nothing where those most like one of them, in motion or in place, are
-    off with it: that is no single reading's fault.
+    Nothing where those most like one of them, in motion or in place, are off with it: no single reading's fault.
     """
     from scipy.special import fdtri
 
@@ -341,7 +340,7 @@ def lone_windows(situation: Situation) -> tuple[dict[str, FloatArray], dict[str,
         usual = min(float(np.median(squares / expected)), 1.0)
         before, bad = bad, (squares > usual * most) & seen.from_log
         if not bad.any() or bad.mean() > FEW_OUTLIERS:
-            return {}, {}
+            return set(), {}
         if np.array_equal(before, bad):
             break
     motion = np.stack([np.nan_to_num(seen.measured[:, Channel.HEADING]), seen.length_m], axis=1)
@@ -350,11 +349,11 @@ def lone_windows(situation: Situation) -> tuple[dict[str, FloatArray], dict[str,
         apart = np.nan_to_num(np.linalg.norm(scaled[bad][:, None] - scaled, axis=2), nan=np.inf)
         apart[seen.run[bad][:, None] == seen.run] = np.inf
         if (bad[np.argsort(apart, axis=1)[:, :ALIKE]].mean(axis=1) > EVEN_PROBABILITY).any():
-            return {}, {}
-    ids, middle_s = seen.labels["run_id"][bad], 0.5 * (seen.start_s + seen.time_s[seen.starts[1:] - 1])[bad]
-    names = [f"{run} at {at_s:.3g} s" for run, at_s in zip(ids, middle_s, strict=True)]
-    shares = dict(zip(names, misfit(others.path)[bad].tolist(), strict=True))
-    return {str(run): np.repeat(middle_s[ids == run, None], 2, axis=1) for run in np.unique(ids)}, shares
+            return set(), {}
+    ids, middle_s = seen.labels["run_id"].tolist(), 0.5 * (seen.start_s + seen.time_s[seen.starts[1:] - 1])
+    off, lone = misfit(others.path), np.flatnonzero(bad)
+    named = {f"{ids[k]} at {middle_s[k]:.3g} s": float(off[k]) for k in lone}
+    return {(ids[k], int(seen.window[k])) for k in lone}, named
 
 
 def _go_on(others: Fitted, noise: Noise, unit: IntArray, lone: Sequence[int]) -> bool:

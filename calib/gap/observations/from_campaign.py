@@ -1,6 +1,6 @@
 """From a campaign to observations: runs, or windows of recordings, in the frames of their starts."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from itertools import compress, pairwise
 from typing import Any, Final
@@ -112,29 +112,28 @@ def observations_of(
     model: OdometryModel | None = None,
     *,
     into_windows: bool | None = None,
-    lost_s: Mapping[str, FloatArray] | None = None,
+    without: Collection[tuple[str, int]] = (),
 ) -> Observations:
     """Arrange a campaign for the diagnosis; `model`: the simulator's, by default the campaign's own.
 
     Recordings with poses are cut into windows where runs are fewer than a dozen, or hardly any was driven twice, or by
-    `into_windows`, but for those that hold a time at which the reference was lost: found, or (n, 2) by the run's id in
-    `lost_s`. Refused where no run has both counts and something measured.
+    `into_windows`, but for those `without` (id of the run, number) or in which the reference was lost. Refused where no
+    run has both counts and something measured.
     """
     setup = _setup(campaign, model)
-    lost_s = lost_s or {}
     n_runs, samples = len(setup.campaign.runs), observation.MAX_STEPS + 1
     # thousands of small arrays would leave memory in holes
     room = np.empty((len(observation.ALONG_RUN), n_runs, samples))
     recorded = [_recorded(run, setup, room[:, run]) for run in range(n_runs)]
     with_counts = [run for run in recorded if run is not None]
     if into_windows is not None:
-        return _arranged(with_counts, setup, lost_s, into_windows=into_windows, share=3 * n_runs / WINDOWS_WANTED)
+        return _arranged(with_counts, setup, without, into_windows=into_windows, share=3 * n_runs / WINDOWS_WANTED)
     few = len(recorded) < MIN_WHOLE_RUNS
-    observations = _arranged(with_counts, setup, lost_s, into_windows=few)
+    observations = _arranged(with_counts, setup, without, into_windows=few)
     sizes = np.bincount(observations.condition)
     repeated = int(sizes[sizes > 1].sum())
     if not few and any(run.reference is not None for run in with_counts) and repeated < MIN_REPLICATED:
-        return _arranged(with_counts, setup, lost_s, into_windows=True)
+        return _arranged(with_counts, setup, without, into_windows=True)
     return observations
 
 
@@ -222,7 +221,7 @@ def measured_poses(campaign: Campaign, observations: Observations) -> Iterator[t
 def _arranged(
     recorded: list[Observation],
     setup: Setup,
-    lost_s: Mapping[str, FloatArray],
+    without: Collection[tuple[str, int]],
     *,
     into_windows: bool,
     share: float = 1.0,
@@ -238,13 +237,12 @@ def _arranged(
     units: list[Observation] = []
     n_cut = lacking = 0
     lost = lost_stretches_s(campaign) if into_windows else {}
-    nothing = np.zeros((0, 2))
     for run in recorded:
-        by_id = lost_s.get(str(campaign.runs.run_id[run.run]), nothing)
-        off_s = np.concatenate([by_id, lost.get(run.run, nothing)]) if into_windows else nothing
-        windows = cut(run, setup, length_m, off_s) if into_windows else []
+        windows = cut(run, setup, length_m, lost.get(run.run, np.zeros((0, 2)))) if into_windows else []
         n_cut += bool(windows)
-        posed = windows if len(off_s) else windows or [_with_gyro(_with_log_pose(run, setup), setup)]
+        posed = windows if run.run in lost else windows or [_with_gyro(_with_log_pose(run, setup), setup)]
+        run_id = str(campaign.runs.run_id[run.run])
+        posed = [unit for unit in posed if (run_id, unit.window) not in without]
         lacking += sum(bool(ends[run.run] and np.isnan(unit.measured[1:]).all()) for unit in posed)
         units.extend(posed)
         if windows and not setup.stands_in:

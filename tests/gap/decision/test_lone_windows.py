@@ -1,4 +1,4 @@
-"""Single windows of recordings that are off: omitted where the others settle the cause, kept where their like is off."""
+"""Single windows that are off: omitted where the others settle the cause, kept where their like is off."""
 
 from __future__ import annotations
 
@@ -55,4 +55,4 @@ def test_windows_whose_reading_is_off_by_itself_are_omitted_by_time(tmp_path: Pa
 def test_many_windows_off_are_no_single_readings_fault(tmp_path: Path, every: int) -> None:
     """Of a reference that drifts again and again nothing is omitted: noise, or a cause, is missing."""
     campaign = driven(tmp_path, [np.arange(10.0, 80.0, 20.0 * every).tolist()] * 6)
-    assert lone_windows(Sought(None, (), ()).situation(campaign)) == ({}, {})
+    assert lone_windows(Sought(None, (), ()).situation(campaign)) == (set(), {})
