@@ -343,7 +343,7 @@ def lone_windows(situation: Situation) -> tuple[set[tuple[str, int]], dict[str, 
         if np.array_equal(before, bad):
             break
     motion = np.stack([np.nan_to_num(seen.measured[:, Channel.HEADING]), seen.length_m], axis=1)
-    for of in (motion, seen.start_pose[:, :2]):
+    for of in (motion, seen.start_pose[:, :2]) if seen.common_frame else (motion,):
         scaled = of / np.maximum(np.std(of, axis=0), 1e-12)
         apart = np.nan_to_num(np.linalg.norm(scaled[bad][:, None] - scaled, axis=2), nan=np.inf)
         apart[seen.run[bad][:, None] == seen.run] = np.inf
