@@ -40,7 +40,6 @@ from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.observations import Channel, Observations
 from calib.gap.observations.from_campaign import check_distances, observations_of
 from calib.gap.predict import Path, measured_gap, predict, residuals
-from calib.kinematics.adequacy import FEW_OUTLIERS, OUTLIER_CHANCE
 from calib.types import BoolArray, FloatArray, IntArray
 
 #: fits about a place and delay that settle one; a step below so many standard uncertainties is the last
@@ -324,6 +323,8 @@ def lone_windows(situation: Situation) -> tuple[set[tuple[str, int]], dict[str, 
     Nothing where those most like one of them, in motion or in place, are off with it: no single reading's fault.
     """
     from scipy.special import fdtri
+
+    from calib.kinematics.adequacy import FEW_OUTLIERS, OUTLIER_CHANCE
 
     nominal, seen = predict(situation.observations), situation.observations
     noise, rows, bad = estimate_noise(nominal, residuals(nominal, nominal)), seen.usable.sum(axis=1), np.zeros(0, bool)
