@@ -87,7 +87,7 @@ def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:
 
 GRAVITY_MPS2: Final = 9.81
 
-#: way that a radian counts as in random walks, a hand's width: a turn on the spot slips too
+#: way that a radian of turning counts as in the random walks of a pose, a hand's width: a turn on the spot slips too
 WAY_PER_RAD_M: Final = 0.1
 
 #: suffix as calib writes it -> suffixes as labs write it, each with its factor
@@ -107,7 +107,7 @@ SUFFIXES: Final[dict[str, tuple[str, float, float]]] = {
     name: (suffix, factor, _OFFSETS.get(name, 0.0)) for suffix, of in _FACTORS.items() for name, factor in of.items()
 }
 
-#: spelling in lower case -> suffix as in `SUFFIXES`; those that differ by case are in `_CASED`
+#: how people write a unit, in lower case -> suffix as in `SUFFIXES`; those that differ by case alone are in `_CASED`
 _SPELLINGS: Final[dict[str, str]] = {
     spelling: unit
     for unit, spellings in {

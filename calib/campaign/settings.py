@@ -138,8 +138,8 @@ class Reference:
 class Odometry:
     """What the vehicle's own odometry runs on."""
 
-    #: rear: both wheels; front: front wheel and steering angle; wheels: all (mecanum); shaft: rear axle and steering
-    #: angle
+    #: encoders: rear: both rear wheels'; front: front wheel's, with steering angle; wheels: all (mecanum); shaft: rear
+    #: axle's, with steering angle (Ackermann)
     source: Annotated[OdometrySource | None, Field(validation_alias="from")] = None
 
 

@@ -155,8 +155,8 @@ class Replay:
 
     observations: Observations
     design: Design  #: what was driven, as the plant's forms ask for it
-    #: steps of every unit, (n_steps_most, n_units), zeros beyond: motion as in `Moment`; wheels' rotation, duration,
-    #: end; way and angle of a driven front wheel
+    #: logged steps of every unit, zeros beyond, shape (n_steps_most, n_units): smoothed motion as in `Moment`; rotation
+    #: of the wheels, duration, end; way and angle of a driven front wheel
     steps: Mapping[str, FloatArray]
     last: IntArray  #: shape (n_units,): last step of each unit
 

@@ -170,8 +170,8 @@ class WheelSums:
 
     #: each once, in order, shape (n_sessions,)
     session: StrArray
-    #: number of runs; sums of F, r, F^2, F r, r^2, day, F and r from reference and nominal, `_pairs` over successive
-    #: runs; shape (n_sessions, 13)
+    #: number of runs; sums of load F, radius r, F^2, F r, r^2, day, F and r from reference and nominal; sums of
+    #: `_pairs` over successive runs in a session; shape (n_sessions, 13)
     table: FloatArray
     #: sums of `_pairs` over all runs of a file; of radius over distance and of its product with F; shape (8,)
     whole: FloatArray

@@ -47,7 +47,8 @@ class Recording:
     steps: Steps
     #: pose by the reference, heading not wrapped; NaN where it has none, shape (3, n_samples)
     reference: FloatArray
-    #: end pose relative to the start, NaN where not measured; x alone of a straight run, shape (n_runs, 3)
+    #: end pose by the reference relative to the start; NaN where not measured; x alone of a straight run, shape
+    #: (n_runs, 3)
     end_pose: FloatArray
     #: runs whose turn a gyro measured, shape (n_runs,)
     by_gyro: BoolArray

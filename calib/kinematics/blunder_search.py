@@ -29,7 +29,7 @@ from calib.kinematics.readings import (
 from calib.kinematics.solve import LONGEST, RIDGE, solve
 from calib.types import FloatArray
 
-#: a reading is named that leaves less than this part: a quarter in squares
+#: a reading is named that leaves less than this part of what the recording leaves as it stands: a quarter in squares
 CLEARLY_LESS: Final = 0.5
 #: and less than this share of the distance travelled: what a calibrated vehicle may leave
 SMALL_SHARE: Final = 0.03

@@ -136,7 +136,7 @@ SLOPE_STD_PER_N: Final = 1e-5
 class Steps:
     """What the wheels did from sample to sample, all runs laid end to end."""
 
-    #: angle of each wheel since the sample before, 0 at a run's first, shape (n_wheels, n_samples)
+    #: angle that each wheel turned since the sample before; 0 at the first sample of a run, shape (n_wheels, n_samples)
     turned_rad: FloatArray
     #: by the sensor, in the middle of the step, shape (n_samples,)
     steer_rad: FloatArray | None = None
@@ -278,7 +278,8 @@ SIDE_SLIP: Final = "side_slip_s2_per_m"
 #: rubber on a smooth floor gives way by some hundredths of a radian at 1 m/s^2: 0.01 s^2/m
 UNDERSTEER_STD: Final = 0.05
 SIDE_SLIP_STD: Final = 0.02
-#: turns below it slip by four to ten milliradians, which ends do not tell from wheelbase and steering scale
+#: turns below this lateral acceleration slip by four milliradians, or ten, which ends do not tell from wheelbase and
+#: steering scale
 SLIPS_MPS2, SLIPS_AT_ENDS_MPS2 = 0.2, 0.5
 #: share of turning that may stay below
 OFTEN: Final = 0.9
@@ -332,5 +333,5 @@ def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps, least_mps2: fl
     return RearShaft(radius_m, wheelbase_m, bool(turn[fast].sum() > (1.0 - OFTEN) * turn.sum()))
 
 
-#: parameters with nominal values, and the body's motion at values of these, shape (n_parameters,)
+#: has its parameters with their nominal values, and the motion of the body at values of these, shape (n_parameters,)
 Drive = Differential | FrontWheel | Mecanum | RearShaft

@@ -12,7 +12,8 @@ from calib.kinematics.model import Model, Prediction, Segments
 from calib.kinematics.path import Path
 from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray, IntArray
 
-#: variances: position and heading of the reference (m^2, rad^2), random walks of heading and distance (rad^2/m, m^2/m)
+#: variances of a displacement's covariance: of the reference's position and heading (m^2, rad^2), of the random walks
+#: of heading and distance (rad^2/m, m^2/m)
 COMPONENTS: Final = ("reference_xy", "reference_theta", "heading_walk", "along_walk")
 #: how far below its stated size
 LEAST: Final = 1e-4
@@ -212,7 +213,8 @@ def planned(model: Model, parameters: Parameters, values: FloatArray, scales: Fl
 def _nominal(
     parameters: Parameters, values: FloatArray, share: float = 1.0, dof: float = DEGREES
 ) -> tuple[FloatArray, FloatArray, float]:
-    # the mean radius, the last row, may be far off: robust with `dof`, at first no heavier than residuals: `share`
+    # spreads off in the rows that pull, weights and loss. The mean radius, the last row, may be far off: robust with
+    # `dof`, at first no heavier than residuals: `share`
     off = parameters.pull @ ((parameters.nominal - values) / parameters.prior_std)[parameters.free]
     weights, losses = np.ones(len(off)), 0.5 * np.square(off)
     weights[-1:] = share * (dof + 1.0) / (dof + 2.0 * losses[-1:])

@@ -216,8 +216,8 @@ def law_path(
 
 
 def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
-    # variances of `COMPONENTS` by wheel (5, 2) or fitted together (5, 1), and their degrees of freedom; slopes (5, 5):
-    # their change by parameters of covariance `spread`
+    # each wheel's part of the variance of `COMPONENTS`, (5, 2), and its degrees of freedom; fitted together one part,
+    # (5, 1); slopes (5, 5): their change by parameters of covariance `spread`
     variance, dof = [], []
     for wheel, part in ((law.left, slice(0, 2)), (law.right, slice(2, 4))):
         contrast = slopes[:, part]
@@ -359,7 +359,8 @@ def law_journey(
 def _scatter(
     law: RadiusLaw, loads_N: tuple[float, float], *, single: bool, draws: int, rng: np.random.Generator
 ) -> tuple[FloatArray, IntArray, FloatArray, list[float], FloatArray]:
-    # root (3, k) of the covariance of radii and track; a scale, draws and dof for each column; errors
+    # root (3, k) of the covariance of radii and track, each column's scale (one a wheel, or one fitted together), drawn
+    # scales, dof, errors
     dof = [
         float(w.dof_of(w.contrast(load), single_run=single))
         for w, load in zip((law.left, law.right), loads_N, strict=True)

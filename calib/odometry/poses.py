@@ -209,7 +209,8 @@ def jacobian(
 class RandomWalk:
     """Random part of the pose's error."""
 
-    #: standard deviations after one metre, turns by `WAY_PER_RAD_M`; they grow with its root
+    #: standard deviation of distance and heading after one metre, with turns by `WAY_PER_RAD_M`; they grow with its
+    #: root
     sigma_along_m_per_sqrt_m: float = 0.0
     sigma_heading_rad_per_sqrt_m: float = 0.0
     count_std: float = 0.0  #: standard uncertainty of one encoder reading in counts

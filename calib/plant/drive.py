@@ -28,7 +28,7 @@ class Record:
     """What happened, at the logs' rate; the last frame of a run is its end."""
 
     frames: IntArray  #: shape (n_runs,): frames of a run; frame 0 is its start
-    #: shape (n_frames, n_runs): true motion in the run's frame, its end repeated; late_rad: delayed steering angle
+    #: shape (n_frames, n_runs): true motion in the run's own frame, its end repeated; late_rad: delayed steering angle
     t_s: FloatArray
     x_m: FloatArray
     y_m: FloatArray

@@ -58,7 +58,8 @@ def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = F
 
 
 def _levers(record: Record) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    # change of outputs by path (m) and heading error (rad), (n_steps, n_runs, 6); way and turn of each step
+    # change of the outputs by a metre of path error and by a radian of heading error, (n_steps, n_runs, 6); way and
+    # turn of each step, (n_steps, n_runs)
     x, y, theta, s = record.odo
     way, turned = np.diff(s, axis=0), np.diff(theta, axis=0)
     middle = 0.5 * (theta[1:] + theta[:-1])

@@ -66,7 +66,7 @@ class EffectiveRadii:
     #: effective radii, corrected for the path, shape (n_runs,)
     radius_left_m: FloatArray
     radius_right_m: FloatArray
-    #: standard uncertainties of rangefinder, quantisation and path (type B), shape (n_runs,)
+    #: standard uncertainties from rangefinder, quantisation and path (type B, random from run to run), shape (n_runs,)
     std_left_m: FloatArray
     std_right_m: FloatArray
     #: relative excess of the wheel's path over S_O, shape (n_runs,); the uncorrected radius is ``radius / (1 + path)``

@@ -378,8 +378,8 @@ def _starts(loads: FloatArray, radius: FloatArray, pairs: FloatArray) -> list[Fl
 
 
 def _squares(loads: FloatArray, radius: FloatArray, days: FloatArray, start: FloatArray) -> tuple[float, IntArray]:
-    # squares of both laws and the best option of each run (n,), from `start`; loads and radii of options (n_options, n,
-    # 2), days (n, n_sessions)
+    # residual squares of both laws and the best option of each run (n,), searched from `start`; loads and radii of the
+    # options (n_options, n, 2), indicators of the days (n, n_sessions)
     runs, chosen = np.arange(loads.shape[1]), start.astype(np.int64)
     for _ in range(ROUNDS):
         squares = np.zeros(loads.shape[:2])

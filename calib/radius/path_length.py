@@ -38,7 +38,7 @@ RADIUS_POWERS: Final = (2, 1, 0, 2, 1, 1, 2)
 GAUSS_NEWTON_STEPS: Final = 7
 #: largest change of the number of periods in a step: a larger one would jump to another wave
 MAX_PERIOD_CHANGE: Final = 0.2
-#: u = (2 pi A / lambda)^2 below which a series keeps more digits: relative truncation 5 u^2 / 64
+#: u = (2 pi A / lambda)^2 below which a series keeps digits that subtractions lose: relative truncation 5 u^2 / 64
 SERIES_BELOW: Final = 1e-6
 
 

@@ -39,7 +39,8 @@ _DOCUMENT: Final = (
 )  # fmt: skip
 #: fewest degrees of freedom of the scatter about a further slope
 MIN_SLOPE_DOF: Final = 5
-#: p-values of a note and a failure: with nine checks a wheel 5 % would be false in every third campaign
+#: p-values below which a check gives a note, and fails: with nine checks a wheel 5 % would give a false note in every
+#: third campaign
 NOTE_BELOW: Final = 0.01
 FAIL_BELOW: Final = 1e-4
 UM: Final = 1e6
@@ -382,7 +383,7 @@ def _cosine(one: FloatArray, other: FloatArray) -> float:
 
 
 def _if_fully_correlated(left: FloatArray, right: FloatArray, of_loads: float) -> FloatArray:
-    # covariance of both wheels' coefficients, (2, 2), if runs erred alike; of_loads: correlation of loads
+    # covariance between both wheels' coefficients, (2, 2), if runs erred alike; of_loads: correlation of their loads
     slopes, means = [], []
     for covariance in (left, right):
         slope = covariance[:, 1] / np.sqrt(covariance[1, 1]) if covariance[1, 1] > 0.0 else np.zeros(2)

@@ -1,8 +1,10 @@
 //: axis
+// draws the gap along the runs against travelled distance or time
 source.data.way = source.data["way " + cb_obj.value];
 for (const axis of axes) axis.axis_label = cb_obj.value;
 source.change.emit();
 //: choose
+// shows another channel or covariate
 source.data.x = source.data["by " + by.value];
 source.data.y = source.data["before " + channel.value];
 source.data.b = source.data["before " + channel.value];
@@ -16,6 +18,7 @@ band.bottom = -limits[channel.value];
 band.top = limits[channel.value];
 source.change.emit();
 //: colour
+// colours all panels by a column: names from a palette, numbers on a scale; the legend says which
 const values = source.data[cb_obj.value];
 const safe = (text) => String(text).replace(/[&<>"]/g, (sign) => `&#${sign.charCodeAt(0)};`);
 const title = safe(titles[cb_obj.value]);
@@ -47,6 +50,7 @@ if (labels) {
 }
 source.change.emit();
 //: enlarge
+// draws the gap at the ends of the paths larger or smaller
 const d = source.data;
 d.arrow_x = Array.from(d.end_x, (x, k) => [x, x + cb_obj.value * d.off_x[k]]);
 d.arrow_y = Array.from(d.end_y, (y, k) => [y, y + cb_obj.value * d.off_y[k]]);
@@ -60,6 +64,7 @@ for (let k = 0; k < source.data.run.length; k++) {
 }
 source.selected.indices = rows;
 //: moment
+// moves the marks along the paths to a time since the start of the run
 const d = source.data;
 const time = cb_obj.value;
 for (const which of paths) {
@@ -78,6 +83,7 @@ for (const which of paths) {
 }
 source.change.emit();
 //: unpack
+// unpacks the scripts in their order and runs them
 (async () => {
   const place = document.currentScript ? document.currentScript.parentNode : document.body;
   if (typeof DecompressionStream === "undefined") {

@@ -29,8 +29,8 @@ __all__ = [
     "read_table",
 ]  # fmt: skip
 
-#: suffix -> function here or in a module: ``read…(path, shown, wanted, layout)`` makes a `RawTable`, ``record…`` a
-#: `Recording`
+#: suffix -> function here or in a module: ``read…(path, shown, wanted, layout)`` returns a `RawTable`, ``record…`` a
+#: `Recording`; `shown`: name in messages
 READERS: Final[dict[str, str]] = {
     ".csv": "delimited.read",
     ".tsv": "delimited.read",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from calib.coefficients.file import CoefficientFile
 
-#: format -> module and function, from file and options to files; empty: the coefficient file
+#: format -> module and function of this package, from file and options to its files; empty: the coefficient file
 FORMATS: Final = {
     "json": "",
     "ros2": "for_vehicle.controllers_of",

@@ -222,7 +222,8 @@ def _columns_of(law: WheelLaw, used: FloatArray, side: str, shown: BoolArray) ->
 #: parameters that are the track, or make it
 TRACKS: Final = ("track_m", "half_length_plus_half_width_m")
 _MECANUM: Final = "mecanum_drive_controller"
-#: drive -> its controllers: of a tricycle by which wheels have motors
+#: drive -> its controllers. A tricycle's free rear wheels are read as a differential drive's; its controller depends on
+#: which wheels have motors
 OF_DRIVE: Final[dict[str, tuple[str, ...]]] = {
     "tricycle": ("diff_drive_controller", "tricycle_controller", "tricycle_steering_controller"),
     "differential": ("diff_drive_controller",),

@@ -42,12 +42,13 @@ from calib.gap.observations.from_campaign import check_distances, observations_o
 from calib.gap.predict import Path, measured_gap, predict, residuals
 from calib.types import BoolArray, FloatArray, IntArray
 
-#: fits about a place and delay that settle one; a step below so many standard uncertainties is the last
+#: fits about a sensor's place and delay found, two settle one; a step below so many standard uncertainties is the last
 PLACE_PASSES: Final = 8
 CLOSE: Final = 0.1
 #: windows most like another one
 ALIKE: Final = 4
-#: headings within this share of their uncertainty from the counts', in so many runs, one turning so far, are these
+#: headings that agree with the counts within this share of their standard uncertainty, on so many runs, one turning by
+#: so much, are the odometry's
 COPIED_SHARE: Final = 1e-6
 FEWEST_COPIED: Final = 4
 LEAST_TURN_RAD: Final = 1e-2

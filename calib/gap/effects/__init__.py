@@ -108,7 +108,8 @@ class Form:
     zero_within: tuple[float, float] = (-inf, inf)
     #: settings -> `perturbations` with these, for a form whose settings come from the runs
     at: Callable[[Mapping[str, float]], Perturbations] | None = None
-    #: whether `perturbations` takes everything from its path, maybe of some observations; else arrays are held for all
+    #: whether `perturbations` takes everything per step from its path, maybe of some observations; else arrays are held
+    #: for all
     by_parts: bool = False
     #: effects without one of which it does nothing, by id
     acts_through: tuple[str, ...] = ()

@@ -213,7 +213,8 @@ def _noise_rad(observations: Observations, angle: FloatArray) -> float:
 
 
 def _wheel_rad(observations: Observations, angle: FloatArray) -> FloatArray:
-    # through the rear wheels' headings to either side, less the median on the straight; NaN where it hardly moves
+    # by a line through the rear wheels' headings to either side, less the median on the straight;
+    # NaN where the vehicle hardly moves
     steered = np.concatenate([_bend_rad(part) for part in observations.parts()])
     straight = (np.abs(angle) < TURN_ANGLE_RAD) & np.isfinite(steered)
     return steered - (np.median(steered[straight]) if straight.any() else 0.0)
@@ -262,7 +263,7 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
     return np.nan_to_num((angle - through[step, observations.unit]) * (play / wide))
 
 
-#: delays tried beside a short one: of a shape scaled from 0.27 to 0.3 s a tenth is off, by half that half
+#: delays tried beside a short one, the tangent: scaled from 0.27 to 0.3 s a shape is off by a tenth, that by half
 DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
 
 

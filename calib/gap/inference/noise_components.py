@@ -14,7 +14,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 #: (name, prior median of the standard deviation's scale, prior spread of its natural logarithm)
 COMPONENTS: Final[tuple[tuple[str, float, float], ...]] = (
     ("distance", 1.0, 0.4),  # times the rangefinder's stated sigma
-    # of the reference's: of positions by a factor of two; turns would take that of headings for theirs
+    # times the reference's: of positions it may be off by a factor of two; turns would take that of headings for theirs
     ("position", 1.0, 0.7),
     ("heading", 1.0, 0.4),
     ("heading_walk", 2e-4, 1.0),  # rad per sqrt(m)

@@ -266,7 +266,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     return ReferencePoses(rows, poses, travelled, setup.in_map, from_first=setup.in_map)
 
 
-#: the first is at the sensor's place if off it by a smaller share of its distance from the origin
+#: poses begin at the sensor's place where the first is off it by a smaller share of its distance from the origin
 NEAR_PLACE: Final = 0.25
 
 

@@ -27,7 +27,8 @@ from calib.types import FloatArray, IntArray, few_digits
 
 #: most runs with a fix, a secant step each
 MOST_RERUNS: Final = 8
-#: standard uncertainties below which a correction is worth no run; at the noise; of a noisy simulator
+#: standard uncertainties below which a correction is worth no run; then where the gap is at the noise, and of a noisy
+#: simulator
 CONVERGED: Final = (0.3, 0.5, 1.0)
 #: factor within which squares of a noisy simulator are alike
 ALIKE: Final = 1.3

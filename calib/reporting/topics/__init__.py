@@ -88,7 +88,8 @@ def _replay(replay: "Replay") -> Drawings:
     return {"end_errors": partial(drawn, "studies.replay_figure", replay)}
 
 
-#: class of a result -> ``module.function``: what is printed and shown; figures by kind, the default first
+#: class of a result -> ``module.function`` here: what its command prints, and interpreter and notebook show; its
+#: figures by kind, the default first
 PRESENTED: Final[Mapping[str, tuple[str, str, Callable[[Any], Drawings]]]] = {
     "Fit": ("fit.fit_content", "fit.fit_brief", _fit),
     "Geometry": ("geometry.geometry_content", "geometry.geometry_brief", _geometry),
