@@ -31,12 +31,15 @@ def lost_reference(campaign: Campaign) -> Iterator[Note]:
 
 
 def lost_stretches_s(campaign: Campaign) -> dict[int, FloatArray]:
-    """Return begin and end (n, 2), by run, of each time at which it is the reference that is off: no wheel skids so."""
+    """Return begin and end in s, (n, 2), by run, of each time at which the reference is off: no wheel skids so."""
     return {run: between_s[no_skid] for run, between_s, _, _, no_skid in _unfollowed(campaign) if no_skid.any()}
 
 
 def _unfollowed(campaign: Campaign) -> Iterator[tuple[int, FloatArray, FloatArray, BoolArray, BoolArray]]:
-    # runs, times (n, 2), by how much, whether it stands still, whether that or aside: locked wheels slide ahead
+    """Yield a run, where it is off: begin and end in s (n, 2), by how many m (n,), and two flags (n,).
+
+    Whether the position stands still, and whether it does or leaps aside: on locked wheels a vehicle slides ahead.
+    """
     campaign = checks.on_axle(campaign)
     vehicle, sensor = campaign.vehicle, campaign.reference
     least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)

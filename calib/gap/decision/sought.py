@@ -45,7 +45,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 #: fits about a sensor's place and delay found, two settle one; a step below so many standard uncertainties is the last
 PLACE_PASSES: Final = 8
 CLOSE: Final = 0.1
-#: windows most like another one
+#: windows most like another one: where a tenth is off, three of four are by chance in 4 of 1,000
 ALIKE: Final = 4
 #: headings that agree with the counts within this share of their standard uncertainty, on so many runs, one turning by
 #: so much, are the odometry's
