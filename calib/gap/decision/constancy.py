@@ -138,7 +138,8 @@ def _is_predicted(evidence: Evidence, effect: str) -> bool:
     others = fit(evidence.nominal, evidence.noise, forms, along=along, start=evidence.fitted)
     without = HeldOutFit(others, evidence.nominal, evidence.noise, evidence.search.weighting, along)
     left, by = left_with_others(without, sessions=True)
-    closed = improvement_of(evidence.left_out, sessions=True, stated=left).closed_ci95[0]
+    with_it, _ = left_with_others(evidence.left_out, sessions=True)
+    closed = improvement_of(evidence.left_out, left, with_it).closed_ci95[0]
     k = len(evidence.fitted.parameters) - sum(len(form.parameters) for form in forms) or 1
     free = min(len(np.unique(evidence.observations.labels["session"])), MOST_SESSION_FOLDS) - 1 - k
     ratio = max(closed, 0.0) / max(1.0 - closed, 1e-9) * free / k

@@ -5,7 +5,9 @@ from dataclasses import replace
 from math import inf, prod, sqrt
 from typing import Final
 
-from calib.gap.decision import Trial, confounding
+import numpy as np
+
+from calib.gap.decision import Trial, confounding, most_square
 from calib.gap.decision.causes import Finding
 from calib.gap.decision.constancy import SET_WITH_SESSIONS
 from calib.gap.decision.diagnosis import DRIVEN, JOURNEYS, Cause, Evidence, Fix, Unexplained
@@ -24,7 +26,9 @@ from calib.gap.inference import (
     NOISE_LEVELS,
     SMALL_SHARE,
 )
-from calib.types import few_digits
+from calib.gap.inference.noise import Noise
+from calib.gap.observations import Channel
+from calib.types import BoolArray, FloatArray, few_digits
 
 #: more confounded effects do not identify the cause: no more are listed
 LARGEST_GROUP: Final = 6
@@ -55,10 +59,11 @@ def fix_of(evidence: Evidence, finding: Finding, confounded: Sequence[Sequence[s
         return fix
     fitted, gap = [name for name in evidence.named if name not in small], confounding.gap_probability(evidence)
     unnamed = [name for name in fitted if name not in {cause.effect for cause in finding.causes}]
-    improvement = evidence.held_out.improvement
+    held_out, improvement = evidence.held_out, evidence.held_out.improvement
     why = (
-        *reasons(finding, improvement, evidence.trials, evidence.held_out.closure),
-        *disagreement(apart_m, on, evidence.held_out.closure, finding.tied),
+        *reasons(finding, improvement, evidence.trials, held_out.closure),
+        *opened(evidence.observations.usable, evidence.noise, held_out.before, held_out.after),
+        *disagreement(apart_m, on, held_out.closure, finding.tied),
         *(f"it rests on {name} too, which is not sure enough to be named; {PLAN}" for name in unnamed),
         *elsewhere(fitted, alternatives(evidence, finding)),
         *unsized(evidence, finding),
@@ -272,6 +277,24 @@ def harm(trials: Sequence[Trial]) -> Iterator[str]:
             f"held out, {trial.left_out} {trial.value} gets worse{sizes}, {trial.growth_sd:.1f} standard deviations "
             "beyond noise; drive it again, once slower and once loaded otherwise"
         )
+
+
+def opened(usable: BoolArray, noise: Noise, before: FloatArray, after: FloatArray) -> Iterator[str]:
+    """Yield channels whose squares grow by more than they were and more than noise leaves: a condition like a load.
+
+    Less is what errors of two causes may cancel. `before`, `after`: (n_units, n_channels), without and with a
+    correction fitted on others, as are `usable`.
+    """
+    for channel in Channel:
+        on = usable[:, channel]
+        rms = [float(np.sqrt(np.mean(values[on, channel] ** 2))) for values in (before, after, noise.floor) if on.any()]
+        scaled = [np.sum((values[on, channel] / noise.floor[on, channel]) ** 2) for values in (before, after)]
+        if scaled[1] - scaled[0] > max(scaled[0], most_square(int(on.sum()), noise.dof)):
+            sizes = [few_digits(1e3 * value) for value in rms]
+            yield (
+                f"held out, {channel.label} gets worse from {sizes[0]} to {sizes[1]} m{channel.unit} "
+                f"(noise {sizes[2]} m{channel.unit}): {REST}"
+            )
 
 
 def harmed(trials: Sequence[Trial]) -> list[Trial]:

@@ -172,7 +172,7 @@ def measure_closure(
     def closing(after: FloatArray, by: str) -> HeldOut:
         return closure_of(nominal, noise, before, after, rng, floor_factor=floor_factor, stated=stated, by=by)
 
-    improvement = _improvement(left_out, before if as_counted is None else as_counted, after, floor_factor)
+    improvement = improvement_of(left_out, before if as_counted is None else as_counted, after, floor_factor)
     return replace(closing(after, by), improvement=improvement, closing=lambda *other: closing(*other).closure)
 
 
@@ -196,13 +196,10 @@ def left_with_others(left_out: HeldOutFit, *, sessions: bool) -> tuple[FloatArra
     return after, by
 
 
-def improvement_of(left_out: HeldOutFit, *, sessions: bool, stated: FloatArray) -> Improvement:
+def improvement_of(
+    left_out: HeldOutFit, before: FloatArray, after: FloatArray, floor_factor: float = 1.0
+) -> Improvement:
     """Return what a correction does on held-out runs to a gap (n_units, n_channels); see `measure_closure`."""
-    after, _ = left_with_others(left_out, sessions=sessions)
-    return _improvement(left_out, stated, after, 1.0)
-
-
-def _improvement(left_out: HeldOutFit, before: FloatArray, after: FloatArray, floor_factor: float) -> Improvement:
     from scipy.special import stdtrit
 
     squares = [float(left_out.squares(values).sum()) for values in (before, after)]

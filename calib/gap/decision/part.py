@@ -111,7 +111,7 @@ def as_delivered(evidence: Evidence, finding: Finding, fix: Fix) -> Fix:
     names = {cause.effect for cause in finding.causes}
     if not fix.recommended or fix.corrects is not None or _is_whole(evidence, names):
         return fix
-    left_out, improvement, transfer, _ = _on_held_out(evidence, names, ())
+    left_out, improvement, transfer, worse = _on_held_out(evidence, names, ())
     unnamed = ", ".join(sorted(set(evidence.search.effects) - names))
     beside = unnamed or "other radii or another track"
     acts = bool(unnamed) or not _others_at_zero(evidence, names)
@@ -121,7 +121,7 @@ def as_delivered(evidence: Evidence, finding: Finding, fix: Fix) -> Fix:
         if acts
         else ()
     )
-    why = (*rule.unhelpful(improvement), *left, *rule.harm(transfer))
+    why = (*rule.unhelpful(improvement), *left, *worse, *rule.harm(transfer))
     if why:
         lead = f"without {unnamed}, which is not named" if unnamed else "with no other change of radii and track"
         return replace(fix, recommended=False, why=tuple(f"{lead}: {text}" for text in why))
@@ -186,10 +186,10 @@ def _on_held_out(
     steps = left_out.contribution(stepping)
     stated = (before if as_counted is None else as_counted) - steps
     sessions = _by_session(evidence, (*names, *stepping))
-    improvement = improvement_of(left_out, sessions=sessions, stated=stated)
-    transfer = trials(left_out, before - steps)
+    after, _ = left_with_others(left_out, sessions=sessions)
     worse = _worse_sessions(evidence, left_out, before, fitted.left + steps)[:1] if stepping else ()
-    return left_out, improvement, transfer, tuple(worse)
+    worse = (*worse, *rule.opened(evidence.observations.usable, evidence.noise, stated, after))
+    return left_out, improvement_of(left_out, stated, after), trials(left_out, before - steps), worse
 
 
 def _by_session(evidence: Evidence, names: Iterable[str]) -> bool:

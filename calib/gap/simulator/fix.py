@@ -10,7 +10,7 @@ from calib.errors import RefusedError
 from calib.gap.decision import Trial, trials
 from calib.gap.decision.causes import limited_to_even
 from calib.gap.decision.diagnosis import Cause, Diagnosis, Quantity, VerdictKind
-from calib.gap.decision.fix import harm
+from calib.gap.decision.fix import harm, opened
 from calib.gap.decision.held_out import Closure, closure_of
 from calib.gap.decision.kind import NO_GAP_SHOWN, with_left
 from calib.gap.decision.sentences import joined, sentence
@@ -88,7 +88,8 @@ def fixed(
     causes = limited_to_even([_moved(cause, named, fix) for cause in diagnosis.causes], denied)
     kind = diagnosis.kind if closes and not closure.leaves_part else VerdictKind.PARTLY_EXPLAINED
     ran = trials(HeldOutFit(diagnosis.fitted, nominal, diagnosis.noise), before, after)
-    worse = tuple(text.replace("held out", "run again with it", 1) for text in harm(ran)) or tuple(
+    opens = opened(nominal.s.usable, diagnosis.noise, before, after)
+    worse = tuple(text.replace("held out", "run again with it", 1) for text in (*harm(ran), *opens)) or tuple(
         _farther(ran, closure)
     )
     recommended = diagnosis.fix.recommended and fits and fix.settled and not worse

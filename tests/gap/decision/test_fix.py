@@ -12,7 +12,17 @@ from calib.gap.decision import Trial
 from calib.gap.decision.causes import Finding, _means
 from calib.gap.decision.constancy import SizeDifference
 from calib.gap.decision.diagnosis import Cause, Fix, Quantity, Unexplained
-from calib.gap.decision.fix import PLAN, alternatives, elsewhere, harmed, holds_zero, ranked, reasons, shown_by_many
+from calib.gap.decision.fix import (
+    PLAN,
+    alternatives,
+    elsewhere,
+    harmed,
+    holds_zero,
+    opened,
+    ranked,
+    reasons,
+    shown_by_many,
+)
 from calib.gap.decision.held_out import ChannelClosure, Closure, Improvement
 from calib.gap.effects import Form, Parameter, always
 from calib.gap.effects.library import effect_class
@@ -53,6 +63,39 @@ def test_what_no_whole_percent_parts_is_equally_probable_and_keeps_its_place() -
         ("wear", 0.96),
         ("reference_yaw", 0.96),
     ]
+
+
+def opened_by(before: np.ndarray, after: np.ndarray, levels: np.ndarray) -> list[str]:
+    """Return what is said of residuals (n, 6) of so many runs whose noise levels (6,) replicates tell."""
+    noise = SimpleNamespace(floor=np.broadcast_to(levels, before.shape), dof=40.0)
+    usable = np.broadcast_to(np.arange(6) != Channel.DISTANCE, before.shape)
+    return list(opened(usable, noise, before, after))  # type: ignore[arg-type]
+
+
+def test_a_correction_that_puts_a_channel_off_which_was_right_is_no_fix() -> None:
+    """Joints of the floor turn the body: unequal radii close the heading, and the steering angle pays for it."""
+    rng, levels = np.random.default_rng(4), np.array([1.0, 2e-3, 3e-3, 4e-3, 3e-3, 2e-3])
+    noise = levels * rng.standard_normal((40, 6))
+    turned = 1e-2 * np.eye(6)[Channel.STEERING]
+    (text,) = opened_by(noise, noise + turned, levels)
+    before, after = (1e3 * np.sqrt(np.mean((noise + off)[:, Channel.STEERING] ** 2)) for off in (0.0, turned))
+    assert text.startswith(f"held out, steering gets worse from {before:.2f} to {after:.1f} mrad (noise 2 mrad)")
+
+
+def test_noise_and_errors_that_cancel_in_part_put_no_channel_off() -> None:
+    """Sizes fitted to noise alone are off by its share; of two errors the one left may be larger than both."""
+    rng, levels = np.random.default_rng(5), np.ones(6)
+    said = 0
+    for _ in range(200):
+        before = rng.standard_normal((20, 6))
+        # one size of twenty readings, as uncertain as these leave it
+        said += bool(opened_by(before, before + rng.standard_normal(6) / np.sqrt(20.0), levels))
+    # expected growth is one square of twenty
+    assert said == 0
+    gap, other = 3.0 * np.eye(6)[Channel.LATERAL], 0.5 * np.eye(6)[Channel.LATERAL]
+    noise = rng.standard_normal((20, 6))
+    assert not opened_by(noise + gap, noise + gap + other, levels)
+    assert opened_by(noise + gap, noise + gap + 4.0 * other, levels)
 
 
 @pytest.mark.parametrize(

@@ -257,6 +257,26 @@ def test_radii_and_track_that_move_by_nothing_beyond_noise_keep_no_fix_back(
     assert part.as_delivered(evidence, Finding([arm], {arm.effect: 1.0}), whole).recommended is (off == 0.0)
 
 
+def test_a_part_that_puts_a_channel_off_is_not_recommended(armed: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor is what is delivered without the rest of a fit: each is judged channel by channel."""
+    (arm,) = armed.causes
+    evidence = armed.evidence
+    assert evidence is not None
+    whole = replace(armed.fix, recommended=False, corrects=None, why=("not all are sure",))
+    found = Finding([arm], {arm.effect: arm.probability})
+    judged = []
+
+    def opens(usable: Any, noise: Any, before: Any, after: Any) -> Any:
+        judged.append(np.square(before).sum() > np.square(after).sum())
+        return iter(["held out, steering gets worse"])
+
+    monkeypatch.setattr(part.rule, "opened", opens)
+    assert not sure_part(evidence, found, whole).recommended
+    delivered = part.as_delivered(evidence, found, Fix(recommended=True))
+    assert not delivered.recommended and "steering gets worse" in delivered.why[0]
+    assert judged == [True, True]
+
+
 @pytest.mark.parametrize("share", [0.2, 0.6])
 def test_a_size_that_is_most_of_all_another_cause_s_is_not_written(
     armed: Diagnosis, monkeypatch: pytest.MonkeyPatch, share: float
