@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import compress, product
 from typing import ClassVar, Final
 
 import numpy as np
@@ -13,6 +14,7 @@ from calib.gap.effects import (
     Effect,
     Family,
     Form,
+    Offer,
     Parameter,
     Perturbations,
     Proportional,
@@ -30,7 +32,7 @@ from calib.gap.effects.quantities import (
     standstill_mps,
 )
 from calib.gap.effects.steering import angle_error, has_front, rate_per_s
-from calib.gap.observations import STRAIGHT_RAD, Observations
+from calib.gap.observations import STRAIGHT_RAD, Channel, Observations
 from calib.gap.predict import Path, predict
 from calib.radius.path_length import whole_period_excess
 from calib.types import BoolArray, FloatArray
@@ -260,7 +262,8 @@ LEAST_BEND_PER_TRACK: Final = 0.1
 class BrakingSkid(Effect):
     """A slide at each stop, the same at every stop or growing with the square of the highest speed since the last one.
 
-    In curves the turn is a parameter of its own: wheels that creep let it turn on, locked ones do not.
+    In curves the turn is a parameter of its own: wheels that creep let it turn on, locked ones do not. Brakes of unlike
+    force slide one wheel further, which turns the vehicle on straights too.
     """
 
     id = "braking_skid"
@@ -282,21 +285,28 @@ class BrakingSkid(Effect):
         laws = [("the same at each stop", per_stop, 0), ("~ v^2", squared, 2)]
         speed = driven_speed_mps(observations)
         speeds_differ = varies(speed, same_speed_mps(speed), observations)
-        turns = observations.applied or bends.max() > LEAST_BEND_PER_TRACK / observations.model.track_m
+        in_bends = observations.applied or bends.max() > LEAST_BEND_PER_TRACK / observations.model.track_m
+        headed = observations.applied or observations.usable[:, [Channel.LATERAL, Channel.HEADING]].any()
 
-        def slides(path: Path, power: int) -> list[Perturbation]:
+        def slides(path: Path, power: int, acts: list[bool]) -> list[Perturbation]:
             s, at = path.s, stops(path.s)
             along = np.where(at, np.where(s.path_m < 0.0, -1.0, 1.0) * _highest_mps(s, at) ** power, 0.0)
-            turn = np.abs(along) * curvature_per_m(s)
-            return [Perturbation(along_m=along), Perturbation(heading_rad=turn)][: 1 + turns]
+            by_rad = (np.abs(along) * curvature_per_m(s), along / observations.model.track_m)
+            # it turns where the step ends
+            turns = (Perturbation(heading_rad=by, lateral_m=-0.5 * by * s.path_m) for by in by_rad)
+            return [*compress([Perturbation(along_m=along), *turns], acts)]
 
-        return self.offer(
-            [
-                (label, (one, replace(one, name=f"turning_{one.name}"))[: 1 + turns], partial(slides, power=power))
-                for label, one, power in laws[: 1 + speeds_differ]
-            ],
-            by_parts=True,
-        )
+        offers: list[Offer] = []
+        for unlike, (label, one, power) in product((False, True)[: 1 + headed], laws[: 1 + speeds_differ]):
+            acts = [True, bool(in_bends), unlike]
+            each = (
+                one,
+                replace(one, name=f"turning_{one.name}"),
+                replace(one, name=f"right_over_left_{one.name}", sign=0),
+            )
+            name = f"{label}, one wheel further" if unlike else label
+            offers.append((name, (*compress(each, acts),), partial(slides, power=power, acts=acts)))
+        return self.offer(offers, by_parts=True)
 
 
 def _highest_mps(observations: Observations, at: BoolArray) -> FloatArray:

@@ -65,8 +65,9 @@ def test_a_slide_has_a_turn_of_its_own_where_a_stop_lies_in_a_curve() -> None:
     """ROUTE ends on a straight, the first two of its pieces end in a bend."""
     for pieces, names in ((ROUTE, ["per_stop"]), (ROUTE[:2], ["per_stop", "turning_per_stop"])):
         s = situation([Run(pieces, kind="route", stops=True) for _ in range(12)])
-        (form,) = (form for effect in library(s) if effect.id == "braking_skid" for form in effect.forms(s))
+        form, unlike = (form for effect in library(s) if effect.id == "braking_skid" for form in effect.forms(s))
         assert [parameter.name for parameter in form.parameters] == names
+        assert [parameter.name for parameter in unlike.parameters] == [*names, "right_over_left_per_stop"]
 
 
 def test_the_driven_speed_is_the_mean_over_the_way() -> None:
@@ -342,8 +343,8 @@ def test_what_follows_speed_or_load_is_sought_on_slow_and_light_vehicles_alike(s
         return observations_of(campaign([first, second] * 8, vehicle=vehicle))
 
     two, one = made(0.7, 20.0), made(0.51, 0.0)
-    assert [len(offered(two, effect)) for effect in ("speed_radius", "braking_skid")] == [1, 2]
-    assert [len(offered(one, effect)) for effect in ("speed_radius", "braking_skid")] == [0, 1]
+    assert [len(offered(two, effect)) for effect in ("speed_radius", "braking_skid")] == [1, 4]
+    assert [len(offered(one, effect)) for effect in ("speed_radius", "braking_skid")] == [0, 2]
     assert offered(two, "load_radius") and offered(two, "load_dependent_track") and not offered(one, "load_radius")
 
 

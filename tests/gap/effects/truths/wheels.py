@@ -174,6 +174,14 @@ def _(run: Run, now: Motion) -> None:
     skid(run, now, 2e-3, turning=0.0)
 
 
+@case("braking_skid", "the same at each stop, one wheel further", 2e-3, 2e-3, 1e-3, runs=LOGGED)
+def _(run: Run, now: Motion) -> None:
+    # the right wheel by half a slide more than the middle of both, the left one by as much less
+    skid(run, now, 2e-3)
+    if now.yaw_rad is not None and now.along_m is not None:
+        now.yaw_rad = now.yaw_rad + 0.5 * now.along_m / TRACK_M
+
+
 @case("braking_skid", "~ v^2", 4e-3, 4e-3, within=1e-2, runs=RAMPED)
 def _(run: Run, now: Motion) -> None:
     # it brakes from its full speed, which its mean speed is not
