@@ -60,7 +60,10 @@ def proposed(
     from calib.gap.plan.next_runs import next_runs, with_next
 
     full = diagnose_in_full(campaign, seed=seed, plan=False, progress=progress)
-    apart, known = partial(apart_on, full.arrays), (campaign, full.effects, full.noise, open_questions(full))
+    apart, known = (
+        partial(apart_on, full.arrays),
+        (campaign, [*full.arrays.effects.values()], full.noise, open_questions(full)),
+    )
     runs = next_runs(*known, apart_on=apart, candidates=among, most=most)
     with suppress(CalibError):
         from calib.kinematics.estimate import estimate_geometry

@@ -102,7 +102,7 @@ def _candidates(
 ) -> tuple[list[_Candidate], dict[str, str]]:
     candidates: list[_Candidate] = []
     left_out: dict[str, str] = {}
-    for effect in diagnosis.effects:
+    for effect in diagnosis.arrays.effects.values():
         if effect.id in NOT_PLANTED:
             left_out[effect.id] = NOT_PLANTED[effect.id]
         elif effect.id in OF_THE_FRONT and not diagnosis.observations.by_front:
@@ -295,7 +295,7 @@ def challenge_own(
     began = time.monotonic()
     diagnosis = diagnose_in_full(campaign, seed=seed, plan=False)
     # a cause of no library was found before the search: a blunder
-    if {cause.effect for cause in diagnosis.causes} - {effect.id for effect in diagnosis.effects}:
+    if {cause.effect for cause in diagnosis.causes} - diagnosis.arrays.effects.keys():
         raise RefusedError(
             f"{campaign.name}: the counters have a blunder ({diagnosis.sentence}); expected counts "
             "that are right to a few per cent; correct the campaign's encoder settings first"

@@ -151,7 +151,6 @@ class Steps:
         grown = 1.0 + 0.5 * sum(wide(part) for part in off)
         if perturbation.along_m is not None:
             ds += grown * wide(perturbation.along_m)
-        bend = _bend(s, turn)
         if perturbation.heading_rad is not None:
             turn += grown * wide(perturbation.heading_rad)
         slip = None if perturbation.lateral_m is None else wide(perturbation.lateral_m)
@@ -162,7 +161,7 @@ class Steps:
             slip = aside if slip is None else slip + aside
         heading = s.cumulative(turn)
         #: shape (n_steps,): heading at the middle of each step, its cosine and its sine
-        self.mid_rad = heading - 0.5 * turn + bend
+        self.mid_rad = heading - 0.5 * turn + _bend(s, turn)
         self.cos, self.sin = np.cos(self.mid_rad), np.sin(self.mid_rad)
         half = 0.5 * turn
         chord = ds * (1.0 - half * half / 6.0)

@@ -46,7 +46,7 @@ from calib.gap.observations import Observations
 from calib.gap.observations.from_campaign import observations_of, with_known_loads
 from calib.gap.plan import undetectable
 from calib.gap.plan.planned_runs import joined
-from calib.gap.predict import Path, predict, residuals
+from calib.gap.predict import Path, residuals
 from calib.types import Progress, silent
 
 #: largest variance factor of the fit over the noise level
@@ -89,7 +89,7 @@ def diagnose_in_full(
     kept, seen = without_runs(campaign, situation.omitted), situation.observations
     own = planted is None and (bool(applied) or not np.isfinite(seen.simulated).any())
     if own:
-        refuse_copied(situation.campaign, predict(seen))
+        refuse_copied(situation.campaign, situation.nominal)
     judge = partial(_judged, (seed, model_name, candidates, journeys), progress)
     diagnosis = judge(kept, sought, situation)
     if own:
@@ -98,9 +98,8 @@ def diagnose_in_full(
     if own and not seen.windowed and (unsure or diagnosis.recommended):
         along = replace(sought, into_windows=True)
         windows = replace(along.situation(kept), omitted=situation.omitted)
-        nominal = predict(windows.observations)
         if windows.observations.windowed and diagnosis.recommended:
-            diagnosis = kept_back(diagnosis, nominal, estimate_noise(nominal, residuals(nominal, nominal)))
+            diagnosis = kept_back(diagnosis, windows.nominal, windows.noise)
         elif windows.observations.windowed and tells_more(by_windows := judge(kept, along, windows), diagnosis):
             diagnosis = kept_back(by_windows, diagnosis.arrays.nominal, diagnosis.arrays.noise)
     diagnosis = beside_geometry(diagnosis, kept) if own else diagnosis
@@ -165,20 +164,20 @@ def _judged(
     rng, declared = np.random.default_rng(seed), recorded.extra.get("effects", ())
     campaign, observations = situation.campaign, situation.observations
     simulator = BY_SIMULATOR if np.isfinite(observations.simulated).any() and not sought.applied else None
-    nominal = predict(observations)
+    nominal = situation.nominal
     outside = not sought.applied or any(name in campaign.runs.numbers for name in SIMULATED_POSE)
     # what calib's own model predicts is integrated exactly
     exclude = sought.exclude if outside else (*sought.exclude, IntegrationScheme.id)
     effects = library(observations, exclude=exclude, declared=declared) if candidates is None else [*candidates]
     offered, every = {effect.id for effect in effects}, effects
-    effects, noise, base, searched = _searched(nominal, effects, progress)
+    effects, noise, base, searched = _searched(nominal, situation.noise, effects, progress)
     for number in range(MOUNTINGS if candidates is None else 0):
         if mounted := sought.mounted(recorded, situation, searched, every, refine=number == 0):
             situation = sought.remounted(recorded, situation, mounted)
             known = {fault.effect.id for fault in mounted} - {ReferenceYaw.id}
-            effects, nominal = [effect for effect in every if effect.id not in known], predict(situation.observations)
+            effects, nominal = [effect for effect in every if effect.id not in known], situation.nominal
             offered -= known
-            effects, noise, base, searched = _searched(nominal, effects, progress)
+            effects, noise, base, searched = _searched(nominal, situation.noise, effects, progress)
     campaign, observations = situation.campaign, situation.observations
     progress(0, 0, "verdict")
     fitted = searched.fitted
@@ -258,19 +257,19 @@ def diagnosed(
 
 
 def _searched(
-    nominal: Path, effects: Sequence[Effect], progress: Progress
+    nominal: Path, alone: Noise, effects: Sequence[Effect], progress: Progress
 ) -> tuple[list[Effect], Noise, Fitted, SearchResult]:
     """Return effects, noise, recalibration alone and model search; the noise is that beside the best hypothesis.
 
-    What rests on an assumption is none of the effects where it does not hold on routes that it was not fitted on.
+    `alone`: noise about the model alone. What rests on an assumption is none of the effects where it does not hold on
+    routes that it was not fitted on.
     """
     passes = count(1)
 
     def passed() -> None:
         progress(next(passes), 0, "search of causes")
 
-    noise = estimate_noise(nominal, residuals(nominal, nominal))
-    base = recalibrate(nominal, noise)
+    noise, base = alone, recalibrate(nominal, alone)
     if base.calibration.any():
         noise = estimate_noise(base.path, base.left)
         base = recalibrate(nominal, noise, base)
@@ -291,5 +290,5 @@ def _searched(
         searched = search(nominal, noise, base, effects, start=searched, passed=passed)
     assumed = {each.id for each in effects if each.id in searched.effects and each.assumption(nominal.s)}
     if assumed and not _holds(nominal, noise, searched):
-        return _searched(nominal, [each for each in effects if each.id not in assumed], progress)
+        return _searched(nominal, alone, [each for each in effects if each.id not in assumed], progress)
     return [*effects], noise, base, searched

@@ -21,13 +21,13 @@ from calib.gap.inference import EVEN_PROBABILITY
 from calib.gap.inference.fit import CALIBRATION_SD, Fitted, whitened_rows
 from calib.gap.inference.least_squares import HeldOutFit, WhitenedSystem
 from calib.gap.inference.local_search import SearchResult
-from calib.gap.inference.noise import Noise
+from calib.gap.inference.noise import Noise, estimate_noise
 from calib.gap.inference.recalibration import Recalibration
 from calib.gap.localise.locate import GapLocation
 from calib.gap.observations import Channel, Observations
 from calib.gap.plan import DetectionLimit
 from calib.gap.plan.planned_runs import PlannedRun
-from calib.gap.predict import Path, residuals
+from calib.gap.predict import Path, predict, residuals
 from calib.types import FloatArray
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from calib.kinematics.assemble import Promise
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Situation:
     """What was driven, blunders corrected."""
 
@@ -47,6 +47,16 @@ class Situation:
     as_counted: FloatArray | None = None  #: shape (n_units, n_channels): the gap as counted, before
     #: share of each run omitted, by id, see `bad_runs`
     omitted: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def nominal(self) -> Path:
+        """What the model alone predicts."""
+        return predict(self.observations)
+
+    @cached_property
+    def noise(self) -> Noise:
+        """Noise about the model alone."""
+        return estimate_noise(self.nominal, residuals(self.nominal, self.nominal))
 
 
 @dataclass(frozen=True, eq=False)
@@ -336,16 +346,6 @@ class Diagnosis(Result):
         wanted = self.fix.corrects
         blunders = {fault.effect.id for fault in self.arrays.situation.faults}
         return tuple(c for c in self.causes if wanted is None or c.effect in wanted or c.effect in blunders)
-
-    @property
-    def held_out(self) -> HeldOut:
-        """Residuals before and after on held-out runs."""
-        return self.arrays.held_out
-
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """The library that was searched."""
-        return tuple(self.arrays.effects.values())
 
     @property
     def table(self) -> "DataFrame":

@@ -77,10 +77,10 @@ class Sought:
 
     def remounted(self, campaign: Campaign, before: Situation, mounted: Sequence[Mounting]) -> Situation:
         """Return the situation with the reference mounted so; the gap as first read is kept, window by window."""
-        nominal = predict(before.observations)
+        nominal = before.nominal
         as_read = measured_gap(nominal, nominal) if before.as_counted is None else before.as_counted
         after = self._corrected(campaign, mounted, as_read)
-        path = predict(after.observations)
+        path = after.nominal
         as_counted = _row_by_row(path, nominal, as_read, measured_gap(path, path))
         return replace(after, as_counted=as_counted, omitted=before.omitted)
 
@@ -271,10 +271,11 @@ def lone_run(situation: Situation) -> dict[str, float]:
 
     Only where nothing was driven twice: repeats tell noise by themselves. Another run of its kind stays.
     """
-    nominal = predict(situation.observations)
-    noise, observations = estimate_noise(nominal, residuals(nominal, nominal)), situation.observations
-    rows = observations.usable.sum(axis=1)
-    if observations.windowed or noise.dof > 0.0 or not noise.supported or situation.omitted:
+    observations = situation.observations
+    if observations.windowed or situation.omitted:
+        return {}
+    nominal, noise, rows = situation.nominal, situation.noise, observations.usable.sum(axis=1)
+    if noise.dof > 0.0 or not noise.supported:
         return {}
     squares = squares_by_unit(nominal, noise, (whole := recalibrate(nominal, noise)).left)
     run, kind = int(np.argmax(squares)), observations.labels["kind"]
@@ -294,8 +295,7 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
     """
     from calib.kinematics.estimate import estimate_geometry
 
-    nominal, run_id = predict(situation.observations), situation.observations.labels["run_id"]
-    noise = estimate_noise(nominal, residuals(nominal, nominal))
+    nominal, noise, run_id = situation.nominal, situation.noise, situation.observations.labels["run_id"]
     runs, unit = np.unique(situation.observations.run, return_inverse=True)
     most, names = int(MOST_BAD_RUNS * len(runs)), [str(run_id[unit == number][0]) for number in range(len(runs))]
     try:
@@ -327,8 +327,8 @@ def lone_windows(situation: Situation) -> tuple[set[tuple[str, int]], dict[str, 
 
     from calib.kinematics.adequacy import FEW_OUTLIERS, OUTLIER_CHANCE
 
-    nominal, seen = predict(situation.observations), situation.observations
-    noise, rows, bad = estimate_noise(nominal, residuals(nominal, nominal)), seen.usable.sum(axis=1), np.zeros(0, bool)
+    nominal, noise, seen = situation.nominal, situation.noise, situation.observations
+    rows, bad = seen.usable.sum(axis=1), np.zeros(0, bool)
     for _ in range(PLACE_PASSES):
         others = _by_others(nominal, noise, bad) if bad.any() else recalibrate(nominal, noise)
         level = estimate_noise(others.path, others.left)

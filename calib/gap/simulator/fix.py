@@ -316,7 +316,10 @@ def without_parameter(diagnosis: Diagnosis, unnamed: str) -> Diagnosis:
 
 def scaled_signatures(diagnosis: Diagnosis) -> tuple[list[Form], IntArray, FloatArray, FloatArray]:
     """Return the parameters' forms, signs and whitened signatures (n_rows, k) at the largest, and the gap (n_rows,)."""
-    nominal, own = diagnosis.nominal, [e for e in diagnosis.effects if e.id.startswith(SIMULATOR_PREFIX)]
+    nominal, own = (
+        diagnosis.nominal,
+        [e for e in diagnosis.arrays.effects.values() if e.id.startswith(SIMULATOR_PREFIX)],
+    )
     forms = [form for effect in own for form in effect.forms(nominal.s)]
     largest = np.array([parameter.largest / parameter.typical for form in forms for parameter in form.parameters])
     columns = [column * size for column, size in zip(signature_columns(nominal, forms), largest, strict=True)]

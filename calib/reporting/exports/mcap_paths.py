@@ -54,7 +54,7 @@ def render(path: Path, accept: str, progress: Progress) -> tuple[Artifact, ...]:
 
 def shown_runs(campaign: Campaign, diagnosis: Diagnosis) -> Iterator[_ShownRun]:
     """Yield what is shown of each observation, in the order driven."""
-    observations, held_out = diagnosis.observations, diagnosis.held_out
+    observations, held_out = diagnosis.observations, diagnosis.arrays.held_out
     sources: dict[str, PredictedPath] = {"simulated": diagnosis.nominal}
     if diagnosis.causes:
         sources["corrected"] = diagnosis.fitted.path

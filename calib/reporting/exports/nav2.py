@@ -344,7 +344,7 @@ def motion_noise(diagnosis: Diagnosis) -> MotionNoise:
             f"{diagnosis.campaign}: found {int(units.sum())} end poses with a heading; expected {FEWEST_RUNS} at "
             "least; a spread needs them: measure ref_x_m, ref_y_m and ref_theta_rad at the end of each run"
         )
-    residuals, kinds = diagnosis.held_out.after[units][:, POSE], observations.labels["kind"][units]
+    residuals, kinds = diagnosis.arrays.held_out.after[units][:, POSE], observations.labels["kind"][units]
     path = diagnosis.correction.path
     models = amcl, walk, constant = tuple(spread_of(path, units, model) for model in MODELS)
     noise, form = fitted(amcl, residuals, kinds), form_ratios(amcl, (walk, constant), residuals)

@@ -54,7 +54,7 @@ class GapArrays:
         from calib.gap.localise.locate import covariate_values
         from calib.gap.predict import measured_gap
 
-        observations, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.held_out
+        observations, nominal, held_out = diagnosis.observations, diagnosis.nominal, diagnosis.arrays.held_out
         usable = observations.usable
         _, along, lateral, *_ = np.where(usable, measured_gap(nominal, nominal), np.nan).T
         c, sn = np.cos(nominal.frame), np.sin(nominal.frame)

@@ -120,7 +120,7 @@ def bound(campaign: Campaign, drawn: int = DRAWN) -> Bound:
     exported = motion_noise(diagnosis)
     observations = diagnosis.observations
     units = np.asarray(observations.usable[:, POSE].all(axis=1))
-    kinds, residuals = observations.labels["kind"][units], diagnosis.held_out.after[units][:, POSE]
+    kinds, residuals = observations.labels["kind"][units], diagnosis.arrays.held_out.after[units][:, POSE]
     spread = spread_of(diagnosis.correction.path, units, "amcl")
     mean = np.einsum("cuii->ci", spread.components) / len(residuals)
     reference = np.einsum("uii->i", spread.reference) / len(residuals)

@@ -75,9 +75,9 @@ def test_paths_gap_and_noise_of_every_run(diagnosed_sample: Diagnosed) -> None:
             turned = (path[-1, 2] - end[2] + np.pi) % (2 * np.pi) - np.pi
             assert [*path[-1, :2], turned] == pytest.approx([*end[:2], 0.0], abs=1e-9)
     for name, values in (
-        ("gap", diagnosis.held_out.before),
-        ("gap_corrected", diagnosis.held_out.after),
-        ("noise", diagnosis.held_out.floor),
+        ("gap", diagnosis.arrays.held_out.before),
+        ("gap_corrected", diagnosis.arrays.held_out.after),
+        ("noise", diagnosis.arrays.held_out.floor),
     ):
         numbers = [struct.unpack_from("<d", data, HEAD)[0] for _, data in found[f"/{name}/heading_rad"]]
         assert numbers == values[:, 3].tolist()
