@@ -38,6 +38,10 @@ CLOSED: Final = "closed"
 STANDSTILL_S: Final = 0.5
 #: a closed loop further off whole turns is doubtful
 WHOLE_TURN_RAD: Final = 0.8
+#: radii off by 1 % turn a corridor of 40 m by less
+SENSE_RAD: Final = 1.0
+#: what ends at 0 or 360 degrees scatters about it by less
+ABOUT_ZERO_RAD: Final = 0.1
 #: a first pose so far from zero, in stated uncertainties, is not in the start frame
 MAP_START_SIGMAS: Final = 8.0
 MAP_START_M, MAP_START_RAD = 0.01, 0.02
@@ -175,12 +179,28 @@ def _sample(logs: Logs, name: str, at: IntArray) -> FloatArray:
 
 
 def with_references(campaign: Campaign, shown: str, border: Border) -> Campaign:
-    """Return the campaign with turns by a gyro, and end poses of closed loops, in its run table."""
+    """Return the campaign with turns by a gyro, signed headings, and end poses of closed loops, in its run table."""
+    campaign = _with_signed_headings(campaign, shown, border)
     if GYRO in campaign.logs.columns:
         campaign = _with_gyro(campaign, shown, border)
     if (campaign.runs.label("loop") == CLOSED).any():
         campaign = _with_closed_loops(campaign, shown, border)
     return campaign
+
+
+def _with_signed_headings(campaign: Campaign, shown: str, border: Border) -> Campaign:
+    # wheels that turn both ways do not end at 0 to 360 degrees alone
+    runs, wheels = campaign.runs, _turn_by_wheels(campaign)
+    heading = runs.number("ref_theta_rad")
+    of_wheels = wheels[known := np.isfinite(heading)]
+    turns_both_ways = (of_wheels > SENSE_RAD).any() and (of_wheels < -SENSE_RAD).any()
+    of_one_turn = (np.abs(heading[known] - np.pi) <= np.pi + ABOUT_ZERO_RAD).all()
+    if campaign.reference.frame == "map" or not (turns_both_ways and of_one_turn):
+        return campaign
+    text = "headings of 0 to 360 degrees, though the wheels turn both ways: read as -180 to 180 degrees"
+    border.say(f"{shown}, column ref_theta_rad", text, "headings_of_one_turn")
+    signed = np.where(heading > np.pi, heading - 2.0 * np.pi, heading)
+    return replace(campaign, runs=replace(runs, numbers={**runs.numbers, "ref_theta_rad": signed}))
 
 
 def _with_gyro(campaign: Campaign, shown: str, border: Border) -> Campaign:

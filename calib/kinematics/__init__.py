@@ -7,6 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from calib.campaign.checks import pasted_rows
+from calib.campaign.checks import turned_rad as nominal_turns_rad
 from calib.campaign.model import REFERENCE_POSE, Campaign
 from calib.campaign.read import GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS
@@ -25,7 +26,7 @@ POSITION_ALONE: Final = (
 TURNS_CLEARLY_RAD: Final = 1.2
 #: a run in its own start frame begins nearer to its origin than this
 AT_START_M: Final = 0.1
-#: kinds of runs led along a line, and the nominal turn up to which that is believed
+#: kinds of runs led along a line, as are those whose median turns less than one arc, and the nominal turn believed
 LED: Final = ("corridor", "straight", "line")
 LED_RAD: Final = 1.2
 #: turn up to which a run of end counts alone is taken for one arc
@@ -340,14 +341,16 @@ def _end_counts(campaign: Campaign, row: int, source: str, per_rev: FloatArray, 
 
 
 def _straight_end(campaign: Campaign, row: int, source: str, turned_rad: FloatArray) -> FloatArray:
-    model, end = campaign.model, np.full(3, np.nan)
-    if source != "rear":
+    model, end, distance_m = campaign.model, np.full(3, np.nan), campaign.runs.number("distance_m")
+    if source != "rear" or np.isnan(distance_m[row]):
         return end
     left, right = turned_rad * np.array([model.radius_left_m, model.radius_right_m])
-    kind = str(campaign.runs.label("kind")[row]).lower()
-    # unequal radii bend what the nominal vehicle makes of a corridor
-    if abs(right - left) / model.track_m < (LED_RAD if kind.startswith(LED) else ONE_ARC_RAD):
-        end[0] = campaign.runs.number("distance_m")[row] * np.sign(left + right)
+    kinds = campaign.runs.label("kind")
+    alike = (kinds == kinds[row]) & np.isfinite(distance_m)
+    # unequal radii bend what the nominal vehicle makes of a corridor, more under load
+    led = str(kinds[row]).lower().startswith(LED) or np.median(np.abs(nominal_turns_rad(campaign)[alike])) < ONE_ARC_RAD
+    if abs(right - left) / model.track_m < (LED_RAD if led else ONE_ARC_RAD):
+        end[0] = distance_m[row] * np.sign(left + right)
     return end
 
 

@@ -11,6 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from calib.campaign.checks.counts import interrupted_counts
+from calib.campaign.checks.measurements import implausible_loads
 from calib.campaign.model import Campaign
 from calib.campaign.read import GYRO_SIGMA
 from calib.campaign.settings import Reference
@@ -72,8 +73,10 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     faults = (*faults, *factor_faults(ratios, campaign.vehicle.drive, model.recording.speeds))
     if source == "rear":
         faults = (*faults, *still_counters(model.recording, model.motion(values).body[2]))
-    lost = (note.sentence.rstrip(".") for note in interrupted_counts(campaign))
-    faults = (*faults, *(Fault("counts_lost", text, seen=True) for text in lost))
+    by_load = any(name.startswith("slope") for name in stated)
+    of_loads = [note for note in implausible_loads(campaign) if note.level == "wrong"] if by_load else []
+    shown = (("counts_lost", interrupted_counts(campaign)), ("loads_implausible", of_loads))
+    faults = (*faults, *(Fault(code, note.sentence.rstrip("."), seen=True) for code, notes in shown for note in notes))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     left = np.where(seen := whole.segments.seen, after.residuals, np.nan)

@@ -108,3 +108,45 @@ def test_a_loop_that_turns_by_no_whole_turn_is_said(tmp_path: Path) -> None:
 def test_another_word_for_a_loop_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadFileError, match="closed"):
         read_campaign(turning(tmp_path / "c", loop="round"))
+
+
+def looping(folder: Path, headings_deg: list[float], *, frame: str = "start") -> Path:
+    """Write a campaign of loops, every other to the right, whose end headings are these."""
+    (folder / "logs").mkdir(parents=True)
+    rows = []
+    for run, heading in enumerate(headings_deg):
+        # 0.2 m of half the track over 0.05 m of radius: four turns of a wheel a turn of the vehicle
+        half = 4000.0 * (1 if run % 2 == 0 else -1)
+        rows.append(f"r{run},loop,{-half},{half},0,0,{heading}")
+    table = ["run_id,kind,counts_left,counts_right,ref_x_m,ref_y_m,ref_theta_deg", *rows]
+    (folder / "runs.csv").write_text("\n".join(table) + "\n")
+    (folder / "campaign.toml").write_text(f'{SETTINGS}[reference]\nframe = "{frame}"\n')
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("stated_deg", "frame", "read_deg"),
+    [
+        ([0.4, 359.9, 359.8, 0.3], "start", [0.4, -0.1, -0.2, 0.3]),
+        ([-0.03, 359.9, 359.8, 0.3], "start", [-0.03, -0.1, -0.2, 0.3]),
+        ([360.4, -360.1, 359.8, -359.7], "start", [360.4, -360.1, 359.8, -359.7]),
+        ([0.4, 359.9, 359.8, 0.3], "map", [0.4, 359.9, 359.8, 0.3]),
+    ],
+    ids=["0 to 360", "about 0", "turns counted", "on a map"],
+)
+def test_headings_of_0_to_360_degrees_beside_turns_both_ways_are_signed(
+    tmp_path: Path, stated_deg: list[float], frame: str, read_deg: list[float]
+) -> None:
+    campaign = read_campaign(looping(tmp_path / "c", stated_deg, frame=frame))
+    np.testing.assert_allclose(np.rad2deg(campaign.runs.number("ref_theta_rad")), read_deg, atol=1e-9)
+    said = [note for note in campaign.notes if note.code == "headings_of_one_turn"]
+    assert len(said) == (stated_deg != read_deg)
+
+
+def test_loops_of_one_sense_keep_their_headings(tmp_path: Path) -> None:
+    """Counters exchanged turn the wheels the other way, too: a turn to the left stays one."""
+    folder = looping(tmp_path / "c", [359.9, 0.0, 359.8])
+    rows = (folder / "runs.csv").read_text().splitlines()
+    (folder / "runs.csv").write_text("\n".join([rows[0], rows[1], rows[3]]) + "\n")
+    headings = np.rad2deg(read_campaign(folder).runs.number("ref_theta_rad"))
+    np.testing.assert_allclose(headings, [359.9, 359.8], atol=1e-9)

@@ -307,3 +307,37 @@ def test_straights_that_leave_the_track_open_call_it_neither_wrong_nor_wide() ->
 
     found = estimate_geometry(changed(made, slipped))
     assert found.passed and "track_m" in found.undetermined and found.values["track_m"] == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("unit", [1.0, 9.80665], ids=["newtons", "kilograms"])
+def test_slopes_by_loads_of_another_unit_are_wrong(unit: float) -> None:
+    """The fit is as good by either: radius and slope absorb the factor, and only vehicle and payload show it."""
+    rng = np.random.default_rng(8)
+    payload = np.tile([0.0, 20.0, 40.0, 60.0], 10)
+    # 40 kg, of which the rear axle at 0.1 of 0.6 m carries five sixths
+    load = (0.5 * 9.80665 * (40.0 * 5.0 / 6.0 + payload))[:, None] * np.ones(2)
+    truth = Truth(slope_left=-2e-6, slope_right=-2e-6)
+    made = campaign(mixed(8), truth, rng, loads=load)
+    runs = made.runs
+    loads = {f"load_{side}_N": load[:, 0] / unit for side in ("left", "right")}
+    numbers = runs.numbers | loads | {"payload_kg": payload, "payload_x_m": np.zeros(40), "payload_y_m": np.zeros(40)}
+    made = replace(made, vehicle=replace(made.vehicle, mass_kg=40.0), runs=replace(runs, numbers=numbers))
+    found = estimate_geometry(made)
+    assert found.passed is (unit == 1.0)
+    assert unit == 1.0 or "load_left_kgf" in named(found)["loads_implausible"]
+
+
+def test_the_most_loaded_runs_of_a_straight_kind_are_straight() -> None:
+    """Unlike slopes bend a corridor under the heaviest load by more than one arc: no run of it is omitted."""
+    rng = np.random.default_rng(9)
+    load = np.tile([100.0, 200.0, 300.0, 900.0], 8)[:, None] * np.ones(2)
+    truth = Truth(radius_left_m=0.05, radius_right_m=0.05, slope_left=-3e-6, slope_right=-1e-6)
+    made = campaign([("Gerade", [(8.0, 0.0)])] * 24 + both_ways(4), truth, rng, loads=load, scatter=1e-4)
+    straight = made.runs.label("kind") == "Gerade"
+    numbers = {
+        name: np.where(straight, np.nan, cells) if name.startswith("ref_") else cells
+        for name, cells in made.runs.numbers.items()
+    }
+    numbers["distance_m"] = np.where(straight, 8.0 + 1e-3 * rng.standard_normal(32), np.nan)
+    made = replace(made, runs=replace(made.runs, numbers=numbers))
+    assert estimate_geometry(made).n_runs == 32

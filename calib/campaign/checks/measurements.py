@@ -210,10 +210,14 @@ def loads_against_payload(campaign: Campaign) -> Iterator[Note]:
     if not checks.stated(campaign, "vehicle.mass_kg"):
         yield from _unit_by_payload(runs.number("payload_kg"), weighed.sum(axis=0))
     computed = np.stack(loads_from_payload(campaign.vehicle, runs))
+    known = np.isfinite(weighed + computed).all(axis=0)
+    if known.any() and not all(checks.stated(campaign, f"vehicle.{name}") for name in _OF_OWN_LOAD):
+        # the vehicle's own part is as weighed
+        computed += np.median((weighed - computed)[:, known], axis=1, keepdims=True)
     allowed = _allowed(computed.sum(axis=0))
     off = np.asarray((np.abs(weighed - computed) > allowed).any(axis=0))
     swapped = off & (np.abs(weighed - computed[::-1]) <= allowed).all(axis=0)
-    heavier, known = (weighed.sum(axis=0) > computed.sum(axis=0))[off], np.isfinite(weighed + computed).all(axis=0)
+    heavier = (weighed.sum(axis=0) > computed.sum(axis=0))[off]
     whole = off.sum() > max(3, checks.MOST_OF_THE_RUNS * known.sum())
     whole |= len(heavier) >= _TO_ONE_SIDE and heavier.mean() in {0.0, 1.0}
     of = off if whole else known & (computed > 0.0).all(axis=0)
@@ -290,6 +294,7 @@ def reference_load(campaign: Campaign) -> Iterator[Note]:
 
 #: relative difference within which a reference load is a usual load
 _SAME_LOAD: Final = 0.05
+_OF_OWN_LOAD: Final = ("mass_kg", "cog_x_m", "wheelbase_m")
 _SWAPPED: Final = ("left and right loads look swapped, or payload_y_m counts from the right", "swapped_loads")
 _CONTRADICTED: Final = (
     "check payload, its place and the weighing, and the vehicle's mass_kg, cog_x_m and wheelbase_m",

@@ -36,6 +36,8 @@ _POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)
 #: 1,234 is 1.234 in one country and 1234 in another
 _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 _GROUPED: Final = re.compile(r"[+-]?[1-9]\d{0,2}([., '’\xa0\u202f])\d{3}(?:\1\d{3})*(?:(?!\1)([.,])\d*)?", re.ASCII)
+#: a whole number as long would have a mark between thousands where others have; a year would not
+UNMARKED_DIGITS: Final = 5
 _HEX: Final = re.compile(r"0x[\da-f]+", re.ASCII | re.IGNORECASE)
 
 _CLOCK: Final = r"(?P<hour>\d{1,2}):(?P<minute>\d{2})(?::(?P<second>\d{2})(?:[.,](?P<fraction>\d{1,9}))?)?"
@@ -273,7 +275,14 @@ def comma_evidence(columns: Sequence[npt.NDArray[Any]]) -> bool | None:
                 point = point or decimal == "." or ("." in text and _POINT.fullmatch(text) is not None)
         if comma and point:
             return None
-    return True if comma else (False if point else None)
+    return True if comma or (not point and _without_thousands(columns)) else (False if point else None)
+
+
+def _without_thousands(columns: Sequence[npt.NDArray[Any]]) -> bool:
+    """Return whether whole numbers stand without marks, and no point anywhere: a comma separates no thousands then."""
+    texts = [[cell.strip() for cell in cells if isinstance(cell, str) and cell.strip()] for cells in columns]
+    unmarked = any(len(text) >= UNMARKED_DIGITS for of in texts if all(map(str.isdecimal, of)) for text in of)
+    return unmarked and not any("." in text for of in texts for text in of)
 
 
 def notes_of_commas(columns: Mapping[str, npt.NDArray[Any]], shown: str, line: IntArray) -> list[Note]:

@@ -141,6 +141,19 @@ def test_a_scale_that_reads_low_in_all_runs_is_no_fault_of_the_heaviest() -> Non
     assert "r003" in {note.run_id for note in loads_against_payload(alone)}
 
 
+def test_an_own_load_that_was_assumed_contradicts_no_scale() -> None:
+    """The centre of gravity moves load from one axle to the other: with it unknown, only the payload's part is told."""
+    made = campaign(logs=False)
+    loads = {f"load_{side}_N": made.runs.number(f"load_{side}_N") + 60.0 for side in ("left", "right")}
+    heavier = with_numbers(made, **loads)
+    assert list(loads_against_payload(heavier))
+    assumed = replace(heavier, assumed=("vehicle.cog_x_m",))
+    assert not list(loads_against_payload(assumed))
+    loads["load_left_N"][5] *= 1.5
+    (note,) = loads_against_payload(replace(with_numbers(made, **loads), assumed=("vehicle.cog_x_m",)))
+    assert note.run_id == str(made.runs.run_id[5])
+
+
 def test_loads_that_scatter_or_that_nobody_described_are_no_finding_of_all_runs() -> None:
     """Off by 6 % either way they are single runs at most, and a vehicle that was assumed asks for nothing."""
     made = campaign(logs=False)

@@ -36,6 +36,8 @@ def read(*cells: str, beside: tuple[str, ...] = ()) -> list[float]:
         (("1,100", "900"), ("39.6595",), [1100.0, 900.0]),
         (("0x0003E6BB", "0x10"), (), [255675.0, 16.0]),
         (("39.287", "40.012"), (), [39.287, 40.012]),
+        # a logger's times beside counters of five digits, which have no marks
+        (("3,200", "3,300"), ("81454", "81460"), [3.2, 3.3]),
     ],
 )
 def test_what_reads_in_one_way_is_read(cells: tuple[str, ...], beside: tuple[str, ...], expected: list[float]) -> None:
@@ -102,3 +104,8 @@ def test_a_rate_that_no_logger_has_is_wrong() -> None:
     days = with_log_columns(driven, t_s=driven.logs.columns["t_s"] / 86400.0)
     assert isinstance(days.logs, Logs)
     assert [note.code for note in clock(days)] == ["sample_rate"]
+
+
+def test_a_year_has_no_mark_anywhere_and_leaves_a_comma_unclear() -> None:
+    with pytest.raises(BadFileError, match="column load"):
+        read("3,200", "3,300", beside=("2024", "2025"))
