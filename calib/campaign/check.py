@@ -36,9 +36,14 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
     notes, campaign = _with_counts_of_runs(campaign.included())
     yield from notes
     of_columns = measurements.implausible_distances, measurements.implausible_loads, _columns, poses.implausible_poses
-    of_logs = counts.implausible_paths, counts.interrupted_counts, settings.implausible_senses
+    of_logs = counts.implausible_paths, counts.interrupted_counts, swapped_sessions, settings.implausible_senses
     for check in (_settings, _model, *of_columns, *of_logs):
         yield from check(campaign)
+
+
+def swapped_sessions(campaign: Campaign) -> Iterator[Note]:
+    """Yield the whose turning runs all turn otherwise than their reference, as notes."""
+    return (note for note in counts.turn_direction(campaign) if note.level == "wrong")
 
 
 def _with_counts_of_runs(campaign: Campaign) -> tuple[list[Note], Campaign]:

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from calib.campaign.check import swapped_sessions
 from calib.campaign.checks.counts import interrupted_counts
 from calib.campaign.checks.measurements import implausible_loads
 from calib.campaign.model import Campaign
@@ -75,7 +76,11 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         faults = (*faults, *still_counters(model.recording, model.motion(values).body[2]))
     by_load = any(name.startswith("slope") for name in stated)
     of_loads = [note for note in implausible_loads(campaign) if note.level == "wrong"] if by_load else []
-    shown = (("counts_lost", interrupted_counts(campaign)), ("loads_implausible", of_loads))
+    shown = (
+        ("counts_lost", interrupted_counts(campaign)),
+        ("loads_implausible", of_loads),
+        ("swapped_wheels", swapped_sessions(campaign)),
+    )
     faults = (*faults, *(Fault(code, note.sentence.rstrip("."), seen=True) for code, notes in shown for note in notes))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)

@@ -8,6 +8,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from calib.campaign.check import swapped_sessions
 from calib.campaign.model import Campaign
 from calib.campaign.wheels import odometry_source
 from calib.errors import RefusedError
@@ -150,7 +151,7 @@ class _Fit:
 def _fitted(task: _Task, recording: Recording, known: tuple[Fault, ...] = ()) -> _Fit:
     as_read = recording.end_pose
     recording, off = task.with_whole_turns(recording)
-    if off and task.way == "end_poses":
+    if off and task.way == "end_poses" and not any(swapped_sessions(task.campaign)):
         text = f"ref_theta_rad: found the end heading of {', '.join(off)} off by whole turns beside the others; "
         known = (*known, Fault("heading_turn", f"{text}correct it"))
     finer = divisions(recording, task.way)

@@ -9,8 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib.campaign.check import swapped_sessions
+from calib.campaign.checks import listed
 from calib.campaign.model import Border, Campaign
 from calib.campaign.wheels import with_counts
+from calib.gap.diagnose import diagnose_in_full
 from calib.kinematics import recording_of
 from calib.kinematics.blunder_search import find_blunder
 from calib.kinematics.blunders import rear_faults, still_counters
@@ -341,3 +344,32 @@ def test_the_most_loaded_runs_of_a_straight_kind_are_straight() -> None:
     numbers["distance_m"] = np.where(straight, 8.0 + 1e-3 * rng.standard_normal(32), np.nan)
     made = replace(made, runs=replace(made.runs, numbers=numbers))
     assert estimate_geometry(made).n_runs == 32
+
+
+def test_counters_exchanged_in_one_session_are_named_as_that() -> None:
+    """Its turns have the other sense than the reference's, and its headings are no whole turns off."""
+    made = campaign(mixed(6), TRUTH, np.random.default_rng(10), scatter=1e-4)
+    second = np.arange(30) % 3 == 1
+    logs, sides = made.logs, ("counts_left", "counts_right")
+    of_second = second[np.repeat(np.arange(30), np.diff(logs.offsets))]
+    left, right = (logs.columns[name] for name in sides)
+    columns = logs.columns | dict(
+        zip(sides, (np.where(of_second, right, left), np.where(of_second, left, right)), strict=True)
+    )
+    left, right = (made.runs.number(name) for name in sides)
+    numbers = made.runs.numbers | dict(
+        zip(sides, (np.where(second, right, left), np.where(second, left, right)), strict=True)
+    )
+    labels = made.runs.labels | {"session": np.where(second, "b", "a")}
+    exchanged = replace(
+        made, logs=replace(logs, columns=columns), runs=replace(made.runs, numbers=numbers, labels=labels)
+    )
+    faults = named(estimate_geometry(exchanged))
+    assert "in session b" in faults["swapped_wheels"] and "heading_turn" not in faults
+    (note,) = swapped_sessions(exchanged)
+    # a line tells no sense
+    turning = exchanged.runs.run_id[second & (made.runs.label("kind") != "line")]
+    assert note.text.startswith(f"in session b ({listed(turning)})")
+    diagnosis = diagnose_in_full(exchanged, plan=False)
+    assert not diagnosis.recommended
+    assert not list(swapped_sessions(made))

@@ -168,9 +168,14 @@ def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str
             reference counts clockwise"""
         yield checks.column_note(columns, text, "swapped_wheels")
         return
-    for run in np.flatnonzero(against):
-        text = f"{finding} than the counts say; left and right look swapped in this run"
-        yield checks.cell_note(campaign, int(run), columns, text, "swapped_wheels")
+    said = f"{finding} than the counts say; left and right look swapped in this"
+    for session, runs in checks.runs_by_label(campaign.runs.label("session")):
+        those = runs[against[runs]]
+        if len(those) > max(1.0, checks.MOST_OF_THE_RUNS * clear[runs].sum()):
+            text = f"in session {session} ({checks.listed(campaign.runs.run_id[those])}) {said} session"
+            yield checks.column_note(columns, text, "swapped_wheels", "wrong")
+        else:
+            yield from (checks.cell_note(campaign, int(run), columns, f"{said} run", "swapped_wheels") for run in those)
 
 
 #: DAQ programs sample at up to 100 kHz; smaller steps are days taken for seconds

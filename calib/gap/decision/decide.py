@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from calib.campaign.check import implausible, notes_for_results
+from calib.campaign.check import implausible, notes_for_results, swapped_sessions
 from calib.campaign.checks import columns_as_one, listed
 from calib.campaign.checks.measurements import loads_against_payload
 from calib.campaign.model import Note
@@ -129,7 +129,7 @@ def decide(evidence: Evidence) -> Diagnosis:
 
 def _of_sound_data(fix: Fix, situation: Situation, causes: Sequence[Cause]) -> Fix:
     wrong = _wrong_data(situation, causes)
-    why = (f"sizes follow {note.where}, which cannot be as stated: correct this first" for note in wrong)
+    why = (f"sizes follow {note.where}, which cannot be as stated ({note.text}): correct this first" for note in wrong)
     return replace(fix, recommended=fix.recommended and not wrong, why=(*why, *fix.why))
 
 
@@ -137,8 +137,14 @@ def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
     of_load = any("load" in cause.effect for cause in causes)
     if situation.faults:
         return []
-    campaign = situation.campaign.included()
-    notes, odd = [*implausible(campaign)], [note.run_id for note in loads_against_payload(campaign) if note.run_id]
+    runs, campaign = situation.campaign.runs, situation.campaign.included()
+    # runs omitted may show what is wrong with their session
+    every = replace(runs, excluded=runs.excluded & ~np.isin(runs.run_id, list(situation.omitted)))
+    of_sessions = swapped_sessions(replace(situation.campaign, runs=every).included())
+    notes, odd = (
+        [*implausible(campaign), *of_sessions],
+        [note.run_id for note in loads_against_payload(campaign) if note.run_id],
+    )
     if 0 < 2 * len(odd) < len(campaign.runs):
         text = "vehicle and payload ask for other loads; check unit and weighing"
         notes.append(Note("wrong", f"runs {listed(odd)}, load_left_N, load_right_N", text))
