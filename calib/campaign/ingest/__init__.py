@@ -345,6 +345,16 @@ def fits_name(name: str, wanted: str) -> bool:
     return _match(name, wanted.replace("\\", "/").rpartition("/")[2]) is not None
 
 
+def with_folder(path: Path, pattern: str) -> str:
+    """Return a file's name with as many folders before it as a pattern has."""
+    return "/".join(path.parts[-1 - pattern.count("/") :])
+
+
+def in_its_folder(path: Path, wanted: str) -> bool:
+    """Return whether name and folders of a file are the wanted ones, in any letter case."""
+    return _match(with_folder(path, wanted), wanted) is not None
+
+
 def run_in(name: str, pattern: str) -> str | None:
     """Return what a file's name has for ``{n}`` or ``{run_id}``; None where it does not fit."""
     match = _match(name, pattern)

@@ -260,6 +260,8 @@ def match_logs(
                 if (any(ingest.fits_name(path.name, name) for name in names) if wanted else path.stem == run_id)
                 and (moment is None or ingest.names_moment(path.name, moment))
             ]
+            if len(fitting) > 1 and "/" in wanted:
+                fitting = [path for path in fitting if ingest.in_its_folder(path, wanted)]
             if len(fitting) > 1:
                 raise unmatched(index, f"{len(fitting)} source files named {wanted or run_id!r}")
             if fitting:
@@ -303,9 +305,16 @@ def _note_unused(used: set[Path], files: Sequence[Path], log: LogSection, border
 
 
 def files_of_runs(files: Sequence[Path], log: LogSection) -> dict[str, dict[str, Path]]:
-    """Return runs by the patterns of ``log.files``, in order, with their files."""
+    """Return runs by the patterns of ``log.files``, in order, with their files.
+
+    Raises BadFileError where a run would have two files of one name.
+    """
     by_run: dict[str, dict[str, Path]] = {}
     for tag, pattern in log.files.items():
-        for path in (path for path in files if ingest.fits_name(path.name, pattern)):
-            by_run.setdefault(ingest.run_in(path.name, pattern) or "", {})[tag] = path
+        for path in (path for path in files if ingest.in_its_folder(path, pattern)):
+            of_run = by_run.setdefault(ingest.run_in(ingest.with_folder(path, pattern), pattern) or "", {})
+            if tag in of_run:
+                remedy = f"write {{n}} or {{run_id}} in log.files.{tag} where names or folders of runs differ"
+                raise BadFileError(path, f"a second file for {tag} beside {of_run[tag]}", "one for each run", remedy)
+            of_run[tag] = path
     return dict(sorted(by_run.items(), key=lambda run: (ingest.run_number(run[0], None) or 0, run[0])))

@@ -102,15 +102,23 @@ def looks_like_units(row: Sequence[Any]) -> bool:
     cells = [str(cell).strip() for cell in filled_cells(row)]
     if not cells or any(map(is_number, cells)):
         return False
-    known = sum(
-        bool(_is_unit(cell) or _BRACKETED.fullmatch(cell) or _OTHER_UNITS.fullmatch(bare(cell))) for cell in cells
-    )
+    known = sum(map(_known_unit, cells))
     return 2 * known >= len(cells) or (known > 0 and all(len(cell) <= _SHORT for cell in cells))
+
+
+def _known_unit(text: str) -> bool:
+    cell = text.strip()
+    return bool(_is_unit(cell) or _BRACKETED.fullmatch(cell) or _OTHER_UNITS.fullmatch(bare(cell)))
 
 
 def _holds_units(rows: Sequence[Sequence[Any]], at: int) -> bool:
     # names beneath one that spans columns: Load, Counts
     named = {column for row in rows[:at] for column, cell in enumerate(row) if is_filled(cell)}
+    # what is no unit, and stands over text, is a label
+    beneath = rows[at + 1] if at + 1 < len(rows) else ()
+    for cell, below in zip(rows[at], beneath, strict=False):
+        if is_filled(cell) and is_filled(below) and not (_known_unit(str(cell)) or is_number(str(below))):
+            return False
     return looks_like_units(rows[at]) and {column for column, cell in enumerate(rows[at]) if is_filled(cell)} <= named
 
 
