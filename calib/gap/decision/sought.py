@@ -269,13 +269,19 @@ def refuse_copied(campaign: Campaign, nominal: Path) -> None:
 def lone_run(situation: Situation) -> dict[str, float]:
     """Return the one run, by id, its share off, beside which a recalibration leaves all others within the stated noise.
 
-    Only where nothing was driven twice: repeats tell noise by themselves. Another run of its kind stays.
+    Of runs driven twice that which is three times as far off its repeats as any other: two of them stay, else one of
+    its kind.
     """
     observations = situation.observations
     if observations.windowed or situation.omitted:
         return {}
     nominal, noise, rows = situation.nominal, situation.noise, observations.usable.sum(axis=1)
-    if noise.dof > 0.0 or not noise.supported:
+    if noise.dof > 0.0:
+        off, repeats = 1.0 / np.sqrt(noise.weight), observations.condition
+        run = int(np.argmax(off))
+        apart = off[run] > BAD_RUN_RATIO * max(np.delete(off, run)) and (repeats == repeats[run]).sum() > 2
+        return _named(recalibrate(nominal, noise), np.arange(len(rows)), [run]) if apart else {}
+    if not noise.supported:
         return {}
     squares = squares_by_unit(nominal, noise, (whole := recalibrate(nominal, noise)).left)
     run, kind = int(np.argmax(squares)), observations.labels["kind"]
