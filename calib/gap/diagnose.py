@@ -29,7 +29,7 @@ from calib.gap.decision.kind import (
 )
 from calib.gap.decision.sought import Sought, lone_recordings, lone_run, lone_windows, refuse_copied, without_runs
 from calib.gap.effects import Effect
-from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
+from calib.gap.effects.encoder import BAD_RUN_RATIO, BLUNDER_MISFIT, misfit
 from calib.gap.effects.library import ELSEWHERE, beyond_law, library, model_of, with_mounting_of
 from calib.gap.effects.reference import ReferenceLeverArm, ReferenceYaw
 from calib.gap.effects.simulator import IntegrationScheme
@@ -137,9 +137,10 @@ def _beside_lone(
 
     seen = situation.observations
     unknown = diagnosis.kind is VerdictKind.UNKNOWN and bool(OF_A_PATH.intersection(kept.logs.columns))
-    if doubtful() and (seen.windowed or unknown) and (lone := lone_recordings(situation)):
+    by_path = seen.windowed or unknown
+    if doubtful() and (lone := lone_recordings(situation) if by_path else _furthest(diagnosis)):
         others = without_runs(kept, lone)
-        again = judge(others, sought, replace(sought.situation(others), omitted=lone))
+        again = judge(others, sought, replace(sought.situation(others), omitted={**situation.omitted, **lone}))
         named = again.kind is not VerdictKind.UNKNOWN if unknown else not diagnosis.causes
         if again.recommended or again.kind is VerdictKind.NO_GAP or named:
             kept, diagnosis = others, again
@@ -151,6 +152,16 @@ def _beside_lone(
         if again.recommended or again.kind is VerdictKind.NO_GAP:
             diagnosis = again
     return kept, diagnosis
+
+
+def _furthest(diagnosis: Diagnosis) -> dict[str, float]:
+    """Return the run, by id, its share off, that the best fit leaves three times as far off as any other."""
+    evidence = diagnosis.arrays
+    seen, fitted = evidence.observations, evidence.fitted
+    off = np.sqrt(evidence.left_out.squares(fitted.left) / np.fmax(seen.usable.sum(axis=1), 1))
+    run, kind = int(np.argmax(off)), seen.labels["kind"]
+    apart = off[run] > BAD_RUN_RATIO * max(np.delete(off, run)) and (kind == kind[run]).sum() > 1
+    return {str(seen.labels["run_id"][run]): float(misfit(fitted.path)[run])} if apart else {}
 
 
 def _judged(

@@ -100,7 +100,11 @@ def calibrated(campaign: Campaign) -> tuple[Campaign, dict[str, Any], FloatArray
     again = diagnose_in_full(base, plan=False)
     # what the recording has beside radii and track, named with these off or with these right
     beside = [cause.effect for cause in diagnosis.causes if cause.effect not in CALIBRATION]
-    return base, again.to_dict() | {"beside": beside}, again.noise.covariance
+    run_id = observations_of(base).labels["run_id"]
+    # a run that is omitted weighs nothing
+    covariance = np.broadcast_to(1e12 * np.eye(6), (len(run_id), 6, 6)).copy()
+    covariance[~np.isin(run_id, list(again.arrays.situation.omitted))] = again.noise.covariance
+    return base, again.to_dict() | {"beside": beside}, covariance
 
 
 def _family(effect: str) -> str:

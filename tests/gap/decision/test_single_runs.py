@@ -11,8 +11,9 @@ import pytest
 from calib.campaign.model import Campaign
 from calib.campaign.read import read_campaign
 from calib.gap.decision.diagnosis import VerdictKind
+from calib.gap.decision.sought import Sought, lone_run
 from calib.gap.diagnose import diagnose_in_full
-from tests.gap import free_drives
+from tests.gap import free_drives, workshop
 
 BAD = 2
 #: of some forty windows over a noise level that is known to a fifth
@@ -52,3 +53,30 @@ def test_beside_sound_recordings_it_is_the_only_gap(tmp_path: Path) -> None:
 def test_sound_recordings_are_all_used(tmp_path: Path) -> None:
     diagnosis = diagnose_in_full(with_one_late(tmp_path, {"track_width": 0.012}, 0.0), plan=False)
     assert diagnosis.evidence is not None and not diagnosis.evidence.situation.omitted
+
+
+@pytest.mark.parametrize("repeats", [1, 3], ids=["driven once", "three repeats"])
+def test_a_distance_of_another_run_is_omitted(tmp_path: Path, repeats: int) -> None:
+    """Off by 6 % it took the slope of the load out of its interval, or left nothing to be named.
+
+    Two repeats that agree tell which run it is, else what is named without it.
+    """
+    sizes, seed = {"load_radius": 1e-6}, {1: 14, 3: 15}[repeats]
+    campaign = read_campaign(workshop.write(tmp_path / "c", "corridor", sizes, np.random.default_rng(seed)))
+    situation = Sought(None, (), ()).situation(campaign)
+    assert lone_run(situation) == {}
+    condition = situation.observations.condition
+    run = next(k for k in range(len(condition)) if (condition == condition[k]).sum() == repeats)
+    distance_m = campaign.runs.number("distance_m").copy()
+    distance_m[run] *= 0.94
+    mistyped = replace(
+        campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, "distance_m": distance_m})
+    )
+    diagnosis, clean = (diagnose_in_full(one, plan=False) for one in (mistyped, campaign))
+    assert [*diagnosis.arrays.situation.omitted] == [str(campaign.runs.run_id[run])]
+    assert not clean.arrays.situation.omitted
+    (cause,), (other,) = diagnosis.causes, clean.causes
+    assert cause.effect == other.effect and diagnosis.recommended
+    for name, quantity in cause.parameters.items():
+        low, high = other.parameters[name].ci95
+        assert low <= quantity.value <= high
