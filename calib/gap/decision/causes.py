@@ -24,7 +24,7 @@ from calib.gap.inference import (
     PROBABILITY_CLASSES,
     SMALL_SHARE,
 )
-from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, undetermined
+from calib.gap.inference.fit import CALIBRATION_SD, Fitted, identifiability_message, undetermined
 from calib.gap.inference.marginal_likelihood import FLOOR_DOF, Nuisance
 from calib.gap.observations import Channel
 from calib.types import FloatArray, few_digits
@@ -185,6 +185,24 @@ def _means(form: Form, theta: FloatArray, covariance: FloatArray, coverage: floa
         if left.name.replace("left", "right") == right.name and not alone and abs(mean) > half:
             means[left.name.replace("left", "mean")] = Quantity(mean, (mean - half, mean + half), left.unit)
     return means
+
+
+def as_corrected(evidence: Evidence, causes: Sequence[Cause], fitted: Fitted) -> list[Cause]:
+    """Return causes with the sizes of the fit that corrects by them: without what is fitted and not named."""
+    own, scatter = np.eye(4 + len(evidence.fitted.parameters)), session_scatter(evidence)
+    places = {form.effect: place for form, _, place in evidence.fitted.each()}
+    sized = [
+        _Sized(form, theta, fitted.covariance[place, place], np.zeros((0, 0)), 0.0, own[:, places[form.effect]])
+        for form, theta, place in fitted.each()
+    ]
+    again = {each.form.effect: _cause(evidence, each, evidence.variance_factor, scatter, 0.0) for each in sized}
+    kept = ("probability", "share", "share_ci95", "signal", "forms_open")
+    return [
+        replace(again[cause.effect], **{name: getattr(cause, name) for name in kept})
+        if cause.effect in again
+        else cause
+        for cause in causes
+    ]
 
 
 def blunder_cause(fault: Blunder | Mounting) -> Cause:

@@ -102,6 +102,9 @@ def decide(evidence: Evidence) -> Diagnosis:
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, finding, fix)
         causes = [cause for cause in causes if is_named_beside(cause, fix, finding)]
+    # beside what is fitted and not named a size is a part
+    if fix.recommended and fix.fitted is not None and {cause.effect for cause in causes}.issubset(fix.corrects or ()):
+        causes = naming.as_corrected(evidence, causes, fix.fitted)
     causes, closure = ranked(causes), fix.closure or closure
     fix = shown_by_many(fix, closure)
     kind = _as_delivered(kind, fix, closure)

@@ -174,8 +174,7 @@ class ScaleLikelihood:
         kept = np.maximum(dim - lever, 0.25 * dim)
         square = (residual**2).sum(axis=1) / weight / kept * dim
         reach = chdtri(dim, OUTLIER_PROBABILITY)
-        weight: FloatArray = reach / np.maximum(square, reach)
-        return weight
+        return np.asarray(reach / np.maximum(square, reach))
 
     def uncertainty(self, log_scale: FloatArray) -> FloatArray:
         """Return the covariance of the logs of the scales, (n_components, n_components)."""
