@@ -195,8 +195,7 @@ def _flags(cells: npt.NDArray[Any], shown: str, line: IntArray) -> BoolArray:
     texts = np.char.lower(_texts(cells, "excluded", shown, line))
     for row in np.flatnonzero(~np.isin(texts, (*_TRUE, *_FALSE))):
         actual, remedy = repr(str(texts[row])[:40]), "correct the cell; the reason goes into exclusion_reason"
-        expected = "true, false or an empty cell"
-        raise BadFileError(shown, actual, expected, remedy, row=int(line[row]), column="excluded")
+        raise BadFileError(shown, actual, "true, false or an empty cell", remedy, row=int(line[row]), column="excluded")
     return np.isin(texts, _TRUE)
 
 

@@ -13,18 +13,7 @@ from typing import Final, get_type_hints
 import numpy as np
 
 from calib.campaign import checks
-from calib.campaign.checks import (
-    SIDES,
-    both_sides,
-    counts,
-    implausible_column,
-    implausible_setting,
-    measurements,
-    paths,
-    poses,
-    setting_note,
-    settings,
-)
+from calib.campaign.checks import SIDES, counts, measurements, paths, poses, settings
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 from calib.types import FloatArray, Progress, grouped, silent, split_suffix, stepped
@@ -47,7 +36,7 @@ def swapped_sessions(campaign: Campaign) -> Iterator[Note]:
 
 
 def _with_counts_of_runs(campaign: Campaign) -> tuple[list[Note], Campaign]:
-    totals = both_sides(campaign, "counts_{}")
+    totals = checks.both_sides(campaign, "counts_{}")
     step = np.diff(totals, prepend=0.0)
     counted = dict(zip(("counts_left", "counts_right"), np.where(step < 0, totals, step), strict=True))
     of_steps = replace(campaign, runs=replace(campaign.runs, numbers={**campaign.runs.numbers, **counted}))
@@ -57,7 +46,7 @@ def _with_counts_of_runs(campaign: Campaign) -> tuple[list[Note], Campaign]:
         return [], campaign
     text = """the counts are totals that grow from run to run; expected what each run counted, as their steps are; write
         the difference from the run before, at a counter's start the count itself"""
-    return [implausible_column("counts_left, counts_right", text)], of_steps
+    return [checks.implausible_column("counts_left, counts_right", text)], of_steps
 
 
 def _settings(campaign: Campaign) -> Iterator[Note]:
@@ -69,16 +58,16 @@ def _settings(campaign: Campaign) -> Iterator[Note]:
                 if isinstance(usual, Usual) and not usual.low <= value <= usual.high:
                     reason = _unit_hint(value, usual, str(unit))
                     text = f"found {value:g} {unit}; expected {usual.low:g} to {usual.high:g} {unit}; {reason}"
-                    yield implausible_setting(f"{section}.{name}", text)
+                    yield checks.implausible_setting(f"{section}.{name}", text)
     vehicle = campaign.vehicle
     if not 0.5 < vehicle.track_m / vehicle.wheel_radius_m < 200:
         text = f"""found a track of {vehicle.track_m:g} m with wheels of {vehicle.wheel_radius_m:g} m radius; expected
             0.5 to 200 radii; check the units of both"""
-        yield implausible_setting("vehicle.track_m", text)
+        yield checks.implausible_setting("vehicle.track_m", text)
     for side in SIDES:
         if not 1 <= (counts := campaign.encoder.per_rev(side)) <= 1e9:
             text = f"found {counts:g}; expected counts of one turn of the wheel, 1 to 1e9; correct it"
-            yield implausible_setting(f"encoder.counts_per_rev_{side}", text)
+            yield checks.implausible_setting(f"encoder.counts_per_rev_{side}", text)
 
 
 def _unit_hint(value: float, usual: Usual, unit: str) -> str:
@@ -101,7 +90,7 @@ def model_against_vehicle(campaign: Campaign) -> Iterator[Note]:
     for key, believed, nominal in _against_vehicle(campaign):
         if abs(believed / nominal - 1) > 0.2:
             text = f"found {believed:g} where the vehicle has {nominal:g}; check the unit, and whether it is a diameter"
-            yield setting_note(key, text, "model_differs")
+            yield checks.setting_note(key, text, "model_differs")
 
 
 def _model(campaign: Campaign) -> Iterator[Note]:
@@ -110,21 +99,21 @@ def _model(campaign: Campaign) -> Iterator[Note]:
         if measurements.implausible_ratio(believed / nominal):
             text = f"""found {believed:g} where the vehicle has {nominal:g}, {believed / nominal:.3g} times; expected
                 the same within a third; check the unit, and whether a diameter was given"""
-            yield implausible_setting(key, text)
+            yield checks.implausible_setting(key, text)
     for side in SIDES:
         change = getattr(model, f"slope_{side}_m_per_N") * model.reference_load_N / campaign.vehicle.wheel_radius_m
         if abs(change) > 0.25:
             text = f"""found a slope that changes the radius by {100 * change:.3g} % at the reference load; expected
                 less than 25 %; check the unit (mm/kN, um/N?)"""
-            yield implausible_setting(f"model.slope_{side}_m_per_N", text)
-    loads = both_sides(campaign, "load_{}_N")
+            yield checks.implausible_setting(f"model.slope_{side}_m_per_N", text)
+    loads = checks.both_sides(campaign, "load_{}_N")
     loads = loads[loads > 0]
     of_nominal = math.isclose(model.reference_load_N, campaign.vehicle.unladen_load_N, rel_tol=1e-5)
     unstated = of_nominal and not checks.stated(campaign, "vehicle.mass_kg")
     if len(loads) and not unstated and not 0.1 * loads.min() <= model.reference_load_N <= 10 * loads.max():
         text = f"""found {model.reference_load_N:g} N for wheel loads of {loads.min():g} to {loads.max():g} N; expected
             a load near these; check the unit (kN or kg?)"""
-        yield implausible_setting("model.reference_load_N", text)
+        yield checks.implausible_setting("model.reference_load_N", text)
 
 
 #: column -> plausible values, and a question about others; 1e-9: above zero
@@ -145,12 +134,12 @@ def _columns(campaign: Campaign) -> Iterator[Note]:
         if len(outside := values[(values < usual.low) | (values > usual.high)]):
             fault = f"found {np.median(outside):.4g} {split_suffix(name)[1]} in {len(outside)} run(s)"
             most = f"above {usual.low:.0f}" if usual.high == math.inf else f"{usual.low:g} to {usual.high:g}"
-            yield implausible_column(name, f"{fault}; expected {most}; {hint}")
+            yield checks.implausible_column(name, f"{fault}; expected {most}; {hint}")
     amplitude, wavelength = campaign.runs.number("amplitude_m"), campaign.runs.number("wavelength_m")
     if (steep := np.abs(amplitude) > 0.5 * wavelength).any():
         text = f"""found a weave of {amplitude[steep][0]:g} m on {wavelength[steep][0]:g} m in {int(steep.sum())}
             run(s); expected an amplitude far below the wavelength; is it in millimetres?"""
-        yield implausible_column("amplitude_m, wavelength_m", text)
+        yield checks.implausible_column("amplitude_m, wavelength_m", text)
 
 
 Span = tuple[float, float]

@@ -371,8 +371,7 @@ def _read_some(files: Sequence[LogFile], *, together: bool) -> list[_ReadLog]:
         own = Border(lenient=False)
         # a file may have changed while read
         try:
-            columns = read_log(path, name, own, raw)
-            logs.append((columns, own.notes, sha256 if _state(path) == state else _sha256(path)))
+            logs.append((read_log(path, name, own, raw), own.notes, sha256 if _state(path) == state else _sha256(path)))
         except BadFileError as error:
             logs.append((error, own.notes, sha256))
     return logs

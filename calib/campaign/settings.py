@@ -100,9 +100,7 @@ class OdometryModel:
 
     def steered(self, vehicle: Vehicle) -> FrontModel:
         """Return `front`, by default the nominal one: the shaft of an Ackermann drive counts the rear wheels' mean."""
-        radius_m = self.mean_radius_m
-        if vehicle.drive != "ackermann":
-            radius_m = vehicle.front_radius_m
+        radius_m = self.mean_radius_m if vehicle.drive == "ackermann" else vehicle.front_radius_m
         return self.front or FrontModel(radius_m, vehicle.wheelbase_m)
 
 

@@ -230,8 +230,7 @@ def shaft_motion(model: FrontModel, rolled_rad: FloatArray, steer_rad: FloatArra
     before = np.concatenate((tangent[:1], tangent[:-1]))
     ahead = model.radius_m * rolled_rad
     square = smoothed_speed_mps(np.cumsum(ahead), t_s) ** 2
-    longer = model.wheelbase_m * lengthening(model.understeer_s2_per_m2 * square)
-    turn = 0.5 * ahead * (before + tangent) / longer
+    turn = 0.5 * ahead * (before + tangent) / (model.wheelbase_m * lengthening(model.understeer_s2_per_m2 * square))
     return ahead, -model.side_slip_s2_per_m * square * turn, turn
 
 

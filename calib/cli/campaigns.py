@@ -170,8 +170,7 @@ def deviation(
         }
     cli.answer(document, content)
     unknown = judged is not None and "unknown" in judged.verdict
-    step = "deviation unknown" if unknown else "deviation CAMPAIGN" if campaign else "deviation"
-    cli.then(step, c=campaign or "")
+    cli.then("deviation unknown" if unknown else "deviation CAMPAIGN" if campaign else "deviation", c=campaign or "")
     return 0 if judged is None or judged.passed else 1
 
 

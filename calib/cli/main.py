@@ -224,8 +224,7 @@ def _machine_refused(error: Exception) -> str:
         return f"{beyond}; expected numbers of ordinary size; hold the campaign against 'calib check'"
     if isinstance(error, OSError) and error.errno != errno.ENOMEM:
         named = isinstance(error.filename, str | bytes)
-        where = os.fsdecode(error.filename) if named else "standard output, or a temporary file"
-        return refused_place(where, error)
+        return refused_place(os.fsdecode(error.filename) if named else "standard output, or a temporary file", error)
     if isinstance(error, MemoryError | OSError):
         return "out of memory; expected a campaign that fits; give fewer or shorter runs, or allow more (ulimit -v)"
     if isinstance(error, ImportError) and _NO_ROOM.search(str(error)):

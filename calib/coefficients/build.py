@@ -17,14 +17,7 @@ from calib.campaign.settings import Encoder
 from calib.campaign.wheels import SOURCE_NAMES, without_rear_wheels
 from calib.coefficients import file as kept
 from calib.coefficients import formats, sections
-from calib.coefficients.file import (
-    CoefficientFile,
-    GeometrySection,
-    Outside,
-    effects_left_out,
-    load_coefficients,
-    sealed,
-)
+from calib.coefficients.file import CoefficientFile, GeometrySection, Outside, load_coefficients
 from calib.coefficients.formats import RADII_ONLY, WITH_NOISE, Artifact, ExportOptions, assumed_note
 from calib.coefficients.sections import VehicleSection, WheelSection, WheelsSection
 from calib.errors import BadFileError, BadInputError, CalibError, ImplausibleError, RefusedError, refuse_other_than_date
@@ -155,7 +148,7 @@ def from_law(
     loads; None: by `LOAD_MARGIN`.
     """
     wheels = WheelsSection(left=_wheel(law.left, load_margin_N), right=_wheel(law.right, load_margin_N))
-    return sealed(
+    return kept.sealed(
         format=kept.FORMAT,
         calib_version=__version__,
         name=header.name,
@@ -387,6 +380,6 @@ def export(file: CoefficientFile, to: str, options: ExportOptions = formats.USUA
         fault = f"--to {to}: found odometry from {wheels}; expected two wheels on one axle, which alone this format has"
         raise RefusedError(f"{fault}; export to ros2 or json")
     first, *further = resolve_name(f"{formats.__name__}.{formats.FORMATS[to]}")(file, options)
-    notes = effects_left_out(file, f"not in {to}") if to in RADII_ONLY else ()
+    notes = kept.effects_left_out(file, f"not in {to}") if to in RADII_ONLY else ()
     notes += assumed_note(file) if to in WITH_NOISE else ()
     return (replace(first, notes=(*first.notes, *notes)), *further)

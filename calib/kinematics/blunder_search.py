@@ -18,14 +18,7 @@ from calib.kinematics.adequacy import FEW_OUTLIERS, travelled
 from calib.kinematics.blunders import Fault
 from calib.kinematics.joint_fit import drive_of
 from calib.kinematics.model import Model, Segments
-from calib.kinematics.readings import (
-    Change,
-    Reading,
-    Setting,
-    implausible,
-    readings,
-    unchanged,
-)
+from calib.kinematics.readings import Change, Reading, Setting, implausible, readings, unchanged
 from calib.kinematics.solve import LONGEST, RIDGE, solve
 from calib.types import FloatArray
 
@@ -88,8 +81,7 @@ def find_blunder(
         return None
     per_rev = float(campaign.encoder.counts_per_rev_left or campaign.encoder.front)
     drive = drive_of(campaign, source, recording)
-    n_few = min(SCREENED_RUNS, len(recording))
-    few = recording.select(np.linspace(0, len(recording) - 1, n_few, dtype=np.int64))
+    few = recording.select(np.linspace(0, len(recording) - 1, min(SCREENED_RUNS, len(recording)), dtype=np.int64))
 
     def tried(
         change: Change, setting: Setting | None = None, sensor: tuple[str, ...] = PLACE, *, screened: bool = False
@@ -144,8 +136,7 @@ def _hopeless(campaign: Campaign, recording: Recording, drive: drives.Drive, div
             values, share = _rough_fit(model, parameters, SCREENED * SMALL_SHARE)
     except (CalibError, np.linalg.LinAlgError, ValueError):
         return True
-    near = _near_nominal(campaign, drive, values, SCREENED * PLAUSIBLE_CHANGE)
-    return not (near and share < SCREENED * SMALL_SHARE)
+    return not (_near_nominal(campaign, drive, values, SCREENED * PLAUSIBLE_CHANGE) and share < SCREENED * SMALL_SHARE)
 
 
 def _near_nominal(campaign: Campaign, drive: drives.Drive, values: FloatArray, most: float) -> bool:

@@ -73,8 +73,7 @@ def find_departure(fitted: Fitted, *, misfit: bool) -> tuple[Departure, float] |
     """
     most, best = 0.0, None
     # beside a delay that nobody estimated, the delay itself looks like a clock
-    timed = "delay_s" in fitted.parameters.free_names
-    for departure in _departures(fitted.model, timed=timed, misfit=misfit):
+    for departure in _departures(fitted.model, timed="delay_s" in fitted.parameters.free_names, misfit=misfit):
         share, size, std = score(fitted, departure)
         clear = abs(size) >= departure.clear * std and size / departure.step > LEAST_SIZE
         if clear and share >= departure.share and share > most:

@@ -103,8 +103,7 @@ def _referred(change: OfArray) -> Change:
 
 
 def _followed(recording: Recording) -> BoolArray:
-    known = np.isfinite(recording.reference).all(axis=0)
-    return np.add.reduceat(known, recording.offsets[:-1], dtype=np.int64) > 1
+    return np.add.reduceat(np.isfinite(recording.reference).all(axis=0), recording.offsets[:-1], dtype=np.int64) > 1
 
 
 def _linear(matrix: Sequence[Sequence[float]]) -> Change:
@@ -338,8 +337,7 @@ SKID_HINT: Final = ' (an effective track? of wheels that skid in turns state dri
 
 def implausible(name: str, ratio: float, most: float, drive: str) -> bool:
     """Return whether a length is off by more than a share `most`; the track of a skid-steered `drive` may be wider."""
-    wider = SKID_TRACK - 1.0 if drive == "skid" and name == "track_m" else most
-    return not -most <= ratio - 1.0 <= wider
+    return not -most <= ratio - 1.0 <= (SKID_TRACK - 1.0 if drive == "skid" and name == "track_m" else most)
 
 
 def implausible_lengths(fitted: Fitted, drive: str) -> list[str]:

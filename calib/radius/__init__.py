@@ -49,6 +49,11 @@ class Groups:
         return np.bincount(self.index, weights=values, minlength=len(self)) / self.sizes
 
     @property
+    def weights(self) -> FloatArray:
+        """Weights of the session means, shape (n_sessions,)."""
+        return 1.0 / (WORKING_RATIO + 1.0 / self.sizes)
+
+    @property
     def indicators(self) -> FloatArray:
         """Indicator columns of the sessions; a constant where there is one session or one run a session."""
         n = len(self.index)
@@ -187,7 +192,7 @@ def stratified_constant(y: FloatArray, groups: Groups) -> LineEstimate:
         part = np.diag([variance / n, 0.0])
         return LineEstimate.one_stratum("constant", np.array([y.mean(), 0.0]), part, float(n - 1), variance)
     mean, inner = groups.means(y), groups.within(y)
-    weight, dof_within = 1.0 / (WORKING_RATIO + 1.0 / groups.sizes), n - n_sessions
+    weight, dof_within = groups.weights, n - n_sessions
     value, run_variance = float(weight @ mean / weight.sum()), float(inner @ inner) / dof_within
     constant, per_square = np.array([value, 0.0]), np.diag([1.0 / weight.sum(), 0.0])
     dof, none = (float(dof_within), n_sessions - 1.0), np.zeros((2, 2))

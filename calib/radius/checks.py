@@ -7,22 +7,9 @@ import numpy as np
 from scipy.special import fdtrc, stdtrit
 
 from calib.campaign.checks import direction_sign, partial_slope
-from calib.radius import Groups, breusch_pagan, deletion_effect, groups_of, outliers
+from calib.radius import Groups, breusch_pagan, deletion_effect, groups_of, outliers, regression
 from calib.radius.order import ROUNDING, aliasing_with_load, order_check, step_check
-from calib.radius.regression import (
-    FAILED,
-    NOTE,
-    NOTE_BELOW,
-    OK,
-    SAME_LOAD,
-    UM,
-    Check,
-    WheelFit,
-    distinct_loads,
-    load_groups,
-    p_check,
-    t_check,
-)
+from calib.radius.regression import FAILED, NOTE, OK, UM, Check, WheelFit, distinct_loads, p_check, t_check
 from calib.types import FloatArray, StrArray, few_digits, floats
 
 #: with more sessions none can carry the slope alone
@@ -108,7 +95,7 @@ def _same_law(runs: _Residuals) -> Check | None:
 
 
 def _lack_of_fit(runs: _Residuals) -> Check | None:
-    group = load_groups(runs.fit.load_N)
+    group = regression.load_groups(runs.fit.load_N)
     levels = int(group.max()) + 1
     if levels < 3:
         sentence = "With two loads any law runs through both: straightness cannot be tested; add a third load between."
@@ -119,7 +106,7 @@ def _lack_of_fit(runs: _Residuals) -> Check | None:
     if test is None:
         few = "Too few repeats at the same load to tell lack of fit from scatter; drive each load twice or more."
         return Check("lack_of_fit", NOTE, few)
-    hint = _with_other_load(runs, several=True) if test[2] < NOTE_BELOW else ""
+    hint = _with_other_load(runs, several=True) if test[2] < regression.NOTE_BELOW else ""
     sentences = (
         "The straight line fits as well as the repeats at each load allow.",
         "The mean radii at the loads miss the straight line by more than repeats explain: use the law between "
@@ -133,7 +120,7 @@ def _with_other_load(runs: _Residuals, *, several: bool) -> str:
     fit, n = runs.fit, len(runs.x)
     if fit.design in {"constant", "confounded"}:
         return ""
-    cells = runs.groups.index * n + load_groups(fit.load_N)
+    cells = runs.groups.index * n + regression.load_groups(fit.load_N)
     alone = np.arange(n) == np.argmax(np.abs(runs.residual_m))
     members = np.column_stack([alone, *(cells == cell for cell in np.unique(cells)[:MAX_CELLS])])
     line = np.column_stack((runs.x, runs.groups.indicators))
@@ -147,7 +134,7 @@ def _with_other_load(runs: _Residuals, *, several: bool) -> str:
     slope, *_, moved = np.linalg.lstsq(np.column_stack((line, of)), fit.radius_m, rcond=None)[0]
     stated, largest = float(fit.load_N[of].mean()), float(fit.load_N.max())
     load = stated + moved / slope if slope else 0.0
-    if np.min(np.abs(fit.load_N[~of] - load)) > SAME_LOAD * largest:
+    if np.min(np.abs(fit.load_N[~of] - load)) > regression.SAME_LOAD * largest:
         return ""
     session = runs.groups.names[runs.groups.index[of][0]]
     whose = f"the {of.sum()} runs of session {session} from {runs.run_id[of][0]} on" if several else "this run"
@@ -192,11 +179,11 @@ def _influence(runs: _Residuals) -> Check | None:
         return None
     basis = fit.design_basis(runs.session)
     extremes = outliers(basis, fit.residual_m - basis @ (basis.T @ fit.residual_m), max(min(n // 5, MAX_OUTLIERS), 1))
-    last = max((k for k, (*_, p) in enumerate(extremes) if p < NOTE_BELOW), default=0)
+    last = max((k for k, (*_, p) in enumerate(extremes) if p < regression.NOTE_BELOW), default=0)
     out, (_, size, p_value) = [run for run, *_ in extremes[: last + 1]], extremes[last]
     pulling = int(np.argmax(fit.cook))
     cook = float(fit.cook[pulling])
-    if p_value >= NOTE_BELOW and cook > 1:
+    if p_value >= regression.NOTE_BELOW and cook > 1:
         words = f"Run {runs.run_id[pulling]} alone moves the line by more than its uncertainty"
         sentence = f"{words} (Cook's distance {cook:.1f}): repeat its load."
         return Check("influence", NOTE, sentence, cook, "Cook's distance", None)
@@ -206,7 +193,7 @@ def _influence(runs: _Residuals) -> Check | None:
     words, whose = f"Run {runs.run_id[out[0]]} lies {off} um off, {times}", "its"
     if last:
         words, whose = f"Runs {', '.join(runs.run_id[out])} lie {off} um off, {times} and more", "each one's"
-    load = _with_other_load(runs, several=False) if p_value < NOTE_BELOW and not last else ""
+    load = _with_other_load(runs, several=False) if p_value < regression.NOTE_BELOW and not last else ""
     sentences = (
         f"No single run stands out or carries the line (largest Cook's distance {cook:.2g}).",
         f"{words} standard deviations of the others: look at {whose} load, distance and counts, and correct it, "
@@ -218,8 +205,7 @@ def _influence(runs: _Residuals) -> Check | None:
 
 
 def _normality(runs: _Residuals) -> Check | None:
-    n = len(runs.residual_m)
-    if not SHAPIRO_RUNS[0] <= n <= SHAPIRO_RUNS[1] or float(runs.residual_m @ runs.residual_m) <= 0:
+    if not SHAPIRO_RUNS[0] <= len(runs.residual_m) <= SHAPIRO_RUNS[1] or float(runs.residual_m @ runs.residual_m) <= 0:
         return None
     from scipy.stats import shapiro
 

@@ -320,8 +320,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     ratio = (np.abs(runs.number("counts_left")) / campaign.encoder.counts_per_rev_left * (1 + path.right)) / (
         np.abs(runs.number("counts_right")) / campaign.encoder.counts_per_rev_right * (1 + path.left)
     )
-    believed = model.radius_right_m / model.radius_left_m
-    turn = arc_of_ratio_rad(distance, ratio / believed, vehicle.track_m)
+    turn = arc_of_ratio_rad(distance, ratio / (model.radius_right_m / model.radius_left_m), vehicle.track_m)
     unknown_nan = np.where(known, 0.0, np.nan)
     columns = {
         "run_id": runs.run_id,

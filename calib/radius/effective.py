@@ -199,8 +199,7 @@ def effective_radii(campaign: Campaign) -> EffectiveRadii:
 
 
 def _budget(parts: Mapping[str, FloatArray], campaign: Campaign) -> tuple[Component, ...]:
-    measured = np.isfinite(campaign.runs.number("ref_theta_rad")).any()
-    end = "and heading at the end" if measured else "taken for straight"
+    end = "and heading at the end" if np.isfinite(campaign.runs.number("ref_theta_rad")).any() else "taken for straight"
     what = {
         "rangefinder": ("normal", f"distance S_O, u = {1e3 * campaign.rangefinder.sigma_m:.2g} mm"),
         "quantisation": ("triangular", f"counts of a run, u = {QUANTISATION_COUNTS:.2f} counts"),

@@ -14,26 +14,12 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import steered_itself_m
 from calib.errors import BadInputError, ImplausibleError, RefusedError
-from calib.radius import effective, groups_of
+from calib.radius import effective, groups_of, regression
 from calib.radius.checks import MAX_CELLS, with_checks, without_loads
 from calib.radius.deviation import weave_checks, with_path_check
 from calib.radius.effective import EffectiveRadii, effective_radii
 from calib.radius.order import aliasing_with_load
-from calib.radius.regression import (
-    FAIL_BELOW,
-    FAILED,
-    MIN_SLOPE_DOF,
-    NOTE,
-    NOTE_BELOW,
-    OK,
-    SAME_LOAD,
-    UM,
-    Check,
-    WheelFit,
-    fit_wheel,
-    t_check,
-    t_quantile,
-)
+from calib.radius.regression import FAIL_BELOW, FAILED, NOTE, OK, UM, Check, WheelFit, fit_wheel, t_check, t_quantile
 from calib.radius.result import PLAUSIBLE, Fit, Setup
 from calib.types import FloatArray, IntArray, StrArray
 
@@ -201,7 +187,7 @@ def _run_length(fit: WheelFit, offset_gain: FloatArray, std_m: FloatArray, basis
     own, residual = (values - basis @ (basis.T @ values) for values in (offset_gain, fit.residual_m))
     norm, dof, mean = float(own @ own), len(own) - basis.shape[1] - 1, float(offset_gain.mean())
     least = MIN_LENGTH_SPREAD * mean * float(np.sqrt(np.mean(std_m**2)) / fit.radius_m.mean())
-    if dof < MIN_SLOPE_DOF or np.std(offset_gain) <= least:
+    if dof < regression.MIN_SLOPE_DOF or np.std(offset_gain) <= least:
         return
     if np.sqrt(norm / len(own)) <= least:
         hidden = "The lengths of the runs follow loads or sessions, which hides a constant error of the distances; "
@@ -275,11 +261,11 @@ def scatter_check(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterat
     """Yield the check of the scatter against the instruments' standard uncertainties `std_m` (n_runs,)."""
     dof = len(std_m) - fit.design_basis(session).shape[1]
     stated, scatter = float(np.sqrt(np.mean(np.nan_to_num(std_m) ** 2))), fit.run_std_m
-    if dof < MIN_SLOPE_DOF or stated <= 0.0:
+    if dof < regression.MIN_SLOPE_DOF or stated <= 0.0:
         return
     ratio, least = scatter / stated, max(PATH_TOLERANCE * float(fit.radius_m.mean()), stated)
     p_value, level = float(chdtrc(dof, dof * ratio**2)), OK
-    finding = p_value < NOTE_BELOW and scatter**2 > stated**2 + least**2
+    finding = p_value < regression.NOTE_BELOW and scatter**2 > stated**2 + least**2
     sentence = "Runs scatter no more than a straight path lets them."
     if finding:
         level, times = NOTE, f"{ratio:.{0 if ratio >= 10.0 else 1}f} times"
@@ -345,11 +331,11 @@ def _better_reading(radii: EffectiveRadii) -> str:
         "the loads of the row after": (np.roll(loads, -1, axis=0)[None], radius),
         "loads of other runs": (np.repeat(pairs[:, None], n, axis=1), radius),
     }
-    unlike = np.abs(loads[:, 0] - loads[:, 1]) > SAME_LOAD
+    unlike = np.abs(loads[:, 0] - loads[:, 1]) > regression.SAME_LOAD
     stated = _squares(loads[None], radius[None], days, np.zeros(n))[0]
     better = []
     for name, (other, moved) in readings.items() if dof > 0 and len(pairs) <= MAX_CELLS else ():
-        other = np.where(np.abs(other - loads) < SAME_LOAD, loads, other)
+        other = np.where(np.abs(other - loads) < regression.SAME_LOAD, loads, other)
         options, measured = np.concatenate((loads[None], other)), np.stack((radius, *[moved] * len(other)))
         starts = [np.zeros(n), np.ones(n), *days.T[:MAX_CELLS]]
         of_kind = []
@@ -384,8 +370,7 @@ def _squares(loads: FloatArray, radius: FloatArray, days: FloatArray, start: Flo
     for _ in range(ROUNDS):
         squares = np.zeros(loads.shape[:2])
         for x, y in zip(np.moveaxis(loads, 2, 0), np.moveaxis(radius, 2, 0), strict=True):
-            columns = np.column_stack((days, x[chosen, runs]))
-            *shifts, slope = np.linalg.lstsq(columns, y[chosen, runs], rcond=None)[0]
+            *shifts, slope = np.linalg.lstsq(np.column_stack((days, x[chosen, runs])), y[chosen, runs], rcond=None)[0]
             squares += (y - days @ shifts - slope * x) ** 2
         before, chosen = chosen, np.argmin(squares, axis=0)
         if (chosen == before).all():

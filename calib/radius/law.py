@@ -342,8 +342,7 @@ def critical_value(share: ArrayLike, dof_between: float, dof_within: float) -> F
 
 def equivalent_dof(critical: ArrayLike) -> FloatArray:
     """Return the degrees of freedom, 1 to 1e6, whose Student's t is `critical`."""
-    dof = stdtridf(UPPER, floats(critical))
-    return np.asarray(np.clip(np.nan_to_num(dof, nan=LARGEST_DOF), 1.0, LARGEST_DOF))
+    return np.asarray(np.clip(np.nan_to_num(stdtridf(UPPER, floats(critical)), nan=LARGEST_DOF), 1.0, LARGEST_DOF))
 
 
 def _nodes(dof: float) -> FloatArray:

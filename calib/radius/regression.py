@@ -12,16 +12,7 @@ from scipy.special import stdtr, stdtrit
 
 from calib.documents import plain, plain_fields
 from calib.errors import RefusedError
-from calib.radius import (
-    WORKING_RATIO,
-    Autocorrelation,
-    Groups,
-    groups_of,
-    needs_hc3,
-    stratified_constant,
-    stratified_line,
-    widened,
-)
+from calib.radius import Autocorrelation, Groups, groups_of, needs_hc3, stratified_constant, stratified_line, widened
 from calib.radius.law import UPPER, LineEstimate, RadiusLaw, WheelLaw
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
@@ -90,8 +81,7 @@ def t_check(
 ) -> Check:
     """Return the check of a slope by Student's t; see `p_check`."""
     statistic = slope / sd if sd > 0.0 else 0.0
-    p_value = float(2 * stdtr(dof, -abs(statistic)))
-    return p_check(name, statistic, f"t({dof:.3g})", p_value, sentences, fails=fails)
+    return p_check(name, statistic, f"t({dof:.3g})", float(2 * stdtr(dof, -abs(statistic))), sentences, fails=fails)
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,7 +351,7 @@ def paired_law(left: WheelFit, right: WheelFit, groups: Groups) -> RadiusLaw:
     fit of their own gives them.
     """
     wheels, estimates = (left, right), (left.estimate, right.estimate)
-    weight = np.sqrt(1.0 / (WORKING_RATIO + 1.0 / groups.sizes))
+    weight = np.sqrt(groups.weights)
     means = [groups.means(wheel.residual_m) for wheel in wheels]
     by_session = all(estimate.dof_between > 0.0 for estimate in estimates)
     residuals = [groups.within(wheel.residual_m) if by_session else wheel.residual_m for wheel in wheels]

@@ -198,8 +198,7 @@ def text_lines(blocks: Iterable[Block | Section], width: int = WIDTH) -> list[Li
             inner = [Line(""), Line(plain(block.title), "heading"), *text_lines(block.blocks, width)]
         else:
             inner = _lines(block, width)
-        apart = isinstance(block, (Heading, Table, Section))
-        if lines and apart and lines[-1].text and inner and inner[0].text:
+        if lines and isinstance(block, (Heading, Table, Section)) and lines[-1].text and inner and inner[0].text:
             lines.append(Line(""))
         lines += inner
     while lines and not lines[0].text:

@@ -127,14 +127,10 @@ def diagnosis_page(diagnosis: "Diagnosis", campaign: Campaign) -> str:
         "title": "Gap between measured and simulated motion",
         "name": diagnosis.campaign,
         "simulated": diagnosis.simulated,
-        "head": (
-            ("Verdict", str(diagnosis.kind).replace("_", " ")),
-            ("In words", page_one_notice(diagnosis).text),
-        ),
+        "head": (("Verdict", str(diagnosis.kind).replace("_", " ")), ("In words", page_one_notice(diagnosis).text)),
         "footer": f"Campaign {diagnosis.campaign}",
     }
-    sections = (Section("Findings", diagnosis_content(diagnosis)),)
-    return _page(page, sections, interactive_panels(diagnosis, campaign))
+    return _page(page, (Section("Findings", diagnosis_content(diagnosis)),), interactive_panels(diagnosis, campaign))
 
 
 def _page(page: Mapping[str, Any], sections: Sequence[Section], panels: str) -> str:

@@ -10,17 +10,10 @@ import numpy as np
 
 from calib.campaign import csv_bytes, write_campaign
 from calib.campaign.ingest import OF_FOLDERS, folders_of, listed_files
+from calib.campaign.ingest import runs as run_tables
 from calib.campaign.ingest.logs import MappedLog
 from calib.campaign.ingest.mapping import SHEET, bad_line, read_mapping
-from calib.campaign.ingest.runs import (
-    Rows,
-    files_of_runs,
-    files_of_sheets,
-    mapped_runs,
-    match_logs,
-    names_runs,
-    with_lookups,
-)
+from calib.campaign.ingest.runs import Rows, mapped_runs, match_logs, names_runs, with_lookups
 from calib.campaign.ingest.segmentation import Ingestion, Segment, end_values, segment_recordings
 from calib.campaign.logs import LogStack, detect_wrap_bits
 from calib.campaign.model import Border, Campaign, Note, RunTable, stacked
@@ -119,14 +112,14 @@ def _campaign(paths: Sequence[Path], work: Ingestion) -> Campaign:
     elif table is not None and work.mapping.table.sheets:
         runs = _runs_of_sheets(first, work)
     elif table is not None:
-        sheets = files_of_sheets(work.mapping, first, files, work.hashes)
+        sheets = run_tables.files_of_sheets(work.mapping, first, files, work.hashes)
         files = [path for path in files if path not in sheets.values()]
         table, work.mapping = with_lookups(table, work.mapping, first, work.border, sheets)
         runs = mapped_runs(table, work.mapping, work.settings, str(first), work.border)
     if work.mapping.cut is not None:
         if not files:
             raise BadInputError("sources: found no recording to cut; expected one beside the run table; name it")
-        groups = [*files_of_runs(files, work.mapping.log).values()] or [{"": path} for path in files]
+        groups = [*run_tables.files_of_runs(files, work.mapping.log).values()] or [{"": path} for path in files]
         read = {next(iter(one.values())): work.read_log(one) for one in stepped(groups, work.progress, "recordings")}
         runs, logs = segment_recordings(work, runs, table, read)
     else:
@@ -152,7 +145,7 @@ def _runs_with_logs(
     matched: dict[int, dict[str, Path]] | None = None
     missing: dict[int, str] = {}
     if runs is None:
-        several = [*files_of_runs(files, work.mapping.log)]
+        several = [*run_tables.files_of_runs(files, work.mapping.log)]
         names = object_array(several or [path.stem for path in files])
         shown = "the files given"
         raw = RawTable({"run_id": names}, np.arange(1, len(names) + 1, dtype=np.int64))

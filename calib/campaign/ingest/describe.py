@@ -72,10 +72,9 @@ class Description:
         lines += wrapped(f"calib ingest {sources} --mapping THIS_FILE --into CAMPAIGN", "#   ", "")
         lines.append("#")
         apart = any(not file.alike(self.files[0]) for file in self.files)
-        groups = grouped(
+        for group in grouped(
             ((apart and file is self.table, *(one.name for one in file.columns)), file) for file in self.files
-        )
-        for group in groups.values():
+        ).values():
             lines += described(group, is_run_table=group[0] is self.table)
         return "\n".join([*lines, "", *self.mapping]) + "\n"
 
@@ -132,8 +131,7 @@ def _run_table(files: Sequence[FileContents]) -> FileContents | None:
     best, best_score = None, 0
     for file in files:
         guesses = {guessed_table_column(column.name) for column in file.columns} - {None}
-        timed = any(guessed_log_column(column.name) == "t_s" for column in file.columns)
-        score = len(guesses) + 3 - 4 * timed
+        score = len(guesses) + 3 - 4 * any(guessed_log_column(column.name) == "t_s" for column in file.columns)
         runs = run_column(file)
         single = runs is not None and (runs.kind != "number" or 2 * runs.span + 2 > file.n_rows)
         named = single or (guesses >= _RUN_TABLE_NUMBERS and guesses & _RUN_TABLE_COLUMNS and not has_clock(file))

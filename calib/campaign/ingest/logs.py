@@ -131,8 +131,7 @@ def _gathered(files: Mapping[str, Path], lines: Lines, mapping: LabMapping) -> R
         time = time if time in raw.columns else whole_name(own, raw.columns)
         if time not in raw.columns:
             actual, expected = f"no column {clock.column!r} for the times", "times in each file of a run"
-            remedy = f"correct log.t_s in {mapping.shown}"
-            raise BadFileError(str(path), actual, expected, remedy, row=1, column="t_s")
+            raise BadFileError(str(path), actual, expected, f"correct log.t_s in {mapping.shown}", row=1, column="t_s")
         line = clock.model_copy(update={"column": time})
         match = recognise(line.target("t_s"), LOG_COLUMNS, further=False)
         factor = 1.0 if time in raw.epochs else match.factor * line.scale("t_s")

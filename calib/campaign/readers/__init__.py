@@ -88,10 +88,7 @@ def interpolated(stream: Stream, column: str, at_ns: IntArray, shift_ns: int) ->
 
 
 def joined_table(
-    recording: Recording,
-    base: Stream | None = None,
-    shifts_s: Mapping[str, float] | None = None,
-    clock: bool = True,
+    recording: Recording, base: Stream | None = None, shifts_s: Mapping[str, float] | None = None, clock: bool = True
 ) -> RawTable:
     """Return the recording as one table on the times of `base` (by default the longest).
 

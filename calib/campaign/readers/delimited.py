@@ -80,8 +80,7 @@ def read_batch(files: Sequence[tuple[Path, str]], wanted: Wanted) -> list[RawTab
     """Read many small plain files, those of one header at once; else None."""
     tables: list[RawTable | None] = [None] * len(files)
     plain = ((index, _plain_csv(path, shown)) for index, (path, shown) in enumerate(files))
-    groups = grouped((parts[0], (index, parts[1])) for index, parts in plain if parts)
-    for header, group in groups.items():
+    for header, group in grouped((parts[0], (index, parts[1])) for index, parts in plain if parts).items():
         names = [name.strip() for name in header.split(",")]
         keep = [name for name in names if name and wanted(name)]
         rows = [body.count(b"\n") for _, body in group]

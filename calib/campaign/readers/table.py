@@ -97,8 +97,7 @@ class RawTable:
 
     def select(self, keep: slice | BoolArray) -> "RawTable":
         """Return the rows that `keep` picks."""
-        columns = {name: cells[keep] for name, cells in self.columns.items()}
-        return replace(self, columns=columns, line=self.line[keep])
+        return replace(self, columns={name: cells[keep] for name, cells in self.columns.items()}, line=self.line[keep])
 
 
 def object_array(cells: Sequence[Any]) -> npt.NDArray[Any]:

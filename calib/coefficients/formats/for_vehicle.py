@@ -156,8 +156,7 @@ def effects_header(file: CoefficientFile, _options: ExportOptions) -> tuple[Arti
         effects.append(_Effect(section, reference, at))
     values = {"acting": effects, "others": others, "accepted": formats.accepted_lines(file), "covariates": covariates}
     data = rendered("c_effects.h.j2", file=file, **values)
-    notes = (f"not in the header: {', '.join(others)}",) if others else ()
-    return (Artifact(EFFECTS_NAME, data, notes),)
+    return (Artifact(EFFECTS_NAME, data, (f"not in the header: {', '.join(others)}",) if others else ()),)
 
 
 #: for each wheel: radius, standard uncertainty of the mean, half widths of the 95 % bands of mean and of a single run
@@ -310,8 +309,7 @@ def rear_diagonals(file: CoefficientFile, pair: LoadPair) -> Diagonals:
     per_rev = np.array(list(file.encoder.si("counts_per_rev_left", "counts_per_rev_right").values()))
     count = (2.0 * math.pi * radius / per_rev * file.noise.count_std.value) ** 2
     reading = (0.25 * float(count.sum()), float(count.sum()) / track**2)
-    covariance = law.covariance_at(loads, file.vehicle.track_std.value, single_run=True)
-    return _diagonals(file, rates, covariance, reading)
+    return _diagonals(file, rates, law.covariance_at(loads, file.vehicle.track_std.value, single_run=True), reading)
 
 
 def steered_diagonals(file: CoefficientFile, pair: LoadPair, *, traction: str) -> Diagonals:

@@ -294,12 +294,7 @@ def _plugin_parameters(model: ModelFile) -> Iterator[Node]:
             yield node
 
 
-def patched(
-    file: CoefficientFile,
-    options: ExportOptions,
-    root_tag: str,
-    wheel: FindWheel,
-) -> tuple[Artifact, ...]:
+def patched(file: CoefficientFile, options: ExportOptions, root_tag: str, wheel: FindWheel) -> tuple[Artifact, ...]:
     """Return the user's model, wheels and drive plugins set, and what it cannot express; see `FindWheel`.
 
     Raises BadInputError where model, names or loads cannot be used.

@@ -130,8 +130,7 @@ class _Sink:
             kept = evenly(len(time_s), MOST_POSES)
             times = [begin_s + float(t) for t in time_s[kept]]
             poses = [self._pose(t, *pose) for t, pose in zip(times, places[kept].tolist(), strict=True)]
-            path = self.types[PATH_TYPE](self._header(begin_s), poses)
-            messages.append((begin_s, f"/{name}/path", PATH_TYPE, path))
+            messages.append((begin_s, f"/{name}/path", PATH_TYPE, self.types[PATH_TYPE](self._header(begin_s), poses)))
             messages += [(t, f"/{name}/pose", POSE_TYPE, pose) for t, pose in zip(times, poses, strict=True)]
         for topic, value in numbers.items():
             messages.append((begin_s + duration_s, f"/{topic}", NUMBER_TYPE, self.types[NUMBER_TYPE](value)))

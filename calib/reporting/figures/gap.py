@@ -298,8 +298,7 @@ def _draw_plan(axes: Axes, signature: EffectSignature, nominal: Path, names: lis
 def _draw_channel(axes: Axes, change: FloatArray, channel: Channel, kinds: StrArray, names: list[str]) -> None:
     for number, kind in enumerate(names):
         values = 1e3 * change[kinds == kind]
-        spread = number + np.linspace(-0.25, 0.25, len(values))
-        axes.plot(spread, values, ".", markersize=2.5, color=colour(number))
+        axes.plot(number + np.linspace(-0.25, 0.25, len(values)), values, ".", markersize=2.5, color=colour(number))
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     axes.margins(y=0.2)
     axes.set_ylabel(f"{channel.label}\nm{channel.unit}", rotation=0, ha="right", va="center")

@@ -40,8 +40,7 @@ def figure(result: Result, kind: str | None) -> "Figure":
         raise BadInputError(
             f"plot: found the kind {kind!r}; expected one of {', '.join(figures) or 'none: there is nothing to draw'}"
         )
-    marked: Callable[..., Figure] = named("figures", "marked")
-    return marked(figures[kind](), simulated=getattr(result, "simulated", False))
+    return drawn("marked", figures[kind](), simulated=getattr(result, "simulated", False))
 
 
 def content_of(result: Result, *, brief: bool) -> Sequence[Block | Section]:

@@ -10,26 +10,13 @@ import numpy as np
 
 from calib import reporting
 from calib.gap.decision.diagnosis import Diagnosis, Plan, Quantity, VerdictKind
-from calib.gap.decision.held_out import RERUN, Closure
+from calib.gap.decision.held_out import RERUN
 from calib.gap.decision.sentences import advice, headline
 from calib.gap.effects.reference import RangefinderScale, ReferenceScale
 from calib.gap.localise import PlaceResult
 from calib.gap.localise.locate import GapLocation, RunDeviation
 from calib.gap.observations import POSE, Channel
-from calib.reporting import (
-    Block,
-    Notice,
-    Picture,
-    Section,
-    Table,
-    Text,
-    caption,
-    formatting,
-    items,
-    paragraph,
-    picture,
-    table,
-)
+from calib.reporting import Block, Notice, Picture, Section, Table, Text, caption, formatting, items, picture, table
 from calib.reporting.formatting import MISSING, fixed, length, percent, prose, three_digits, with_unit
 from calib.reporting.source import doubtful_causes
 from calib.reporting.topics.runs import next_runs_table, runs_and_promises
@@ -82,7 +69,6 @@ def diagnosis_full(verdict: Diagnosis) -> tuple[Block, ...]:
 
 def diagnosis_content(verdict: Diagnosis, gap: "GapArrays | None" = None) -> tuple[Block, ...]:
     """Return the statements of a diagnosis, with `gap` its pictures."""
-    next_runs = (next_runs_table([run.to_dict() for run in verdict.next_runs]),) if verdict.next_runs else ()
     return (
         verdict_notice(verdict),
         Text(reporting.paragraph("noise_level"), small=True),
@@ -94,7 +80,7 @@ def diagnosis_content(verdict: Diagnosis, gap: "GapArrays | None" = None) -> tup
         *closure_blocks(verdict),
         *(_before_after_picture(gap) if gap else ()),
         *limit_blocks(verdict),
-        *next_runs,
+        *((next_runs_table([run.to_dict() for run in verdict.next_runs]),) if verdict.next_runs else ()),
         *((Text("Notes:"), *items(map(prose, verdict.notes))) if verdict.notes else ()),
     )
 
@@ -229,7 +215,7 @@ def _place(line: PlaceResult) -> str:
     places = dict(zip(("low", "high", "first", "last"), (*line.place, *line.place_ci95), strict=True))
     route = f" on {line.route.replace('_', ' ')}" if line.route else ""
     known = {"where": line.where, "route": route, "size": f"{line.channel.label} {size}", "spread": spread}
-    return paragraph("place", **known, **places, coordinate=line.coordinate)
+    return reporting.paragraph("place", **known, **places, coordinate=line.coordinate)
 
 
 def closure_blocks(verdict: Diagnosis) -> list[Block]:
@@ -250,13 +236,6 @@ def closure_blocks(verdict: Diagnosis) -> list[Block]:
     ]
 
 
-def _on_which_runs(closure: Closure) -> str:
-    if closure.held_out == RERUN:
-        return "on all runs; root mean square with the simulator as it is, run again with the fix"
-    held_out = f"on held-out runs, each {closure.held_out} in turn"
-    return f"{held_out}; root mean square with the model alone and with the causes"
-
-
 def _by_channel(verdict: Diagnosis) -> Table:
     closure = verdict.closure
     rows = []
@@ -267,7 +246,12 @@ def _by_channel(verdict: Diagnosis) -> Table:
         ends = _sizes("m", closure.before_rms_m, closure.after_rms_m or 0.0, closure.floor_rms_m or 0.0)
         rows.append(("end position", *ends, MISSING))
     heads = ("<Channel", "<Unit", "Before", "After", "Noise", "Closed")
-    return table(caption("table-closure", on=_on_which_runs(closure)), heads, formatting.aligned(rows, 2, 3, 4))
+    runs = (
+        f"on held-out runs, each {closure.held_out} in turn; root mean square with the model alone and with the causes"
+    )
+    if closure.held_out == RERUN:
+        runs = "on all runs; root mean square with the simulator as it is, run again with the fix"
+    return table(caption("table-closure", on=runs), heads, formatting.aligned(rows, 2, 3, 4))
 
 
 def _sentence(verdict: Diagnosis) -> str:

@@ -231,8 +231,7 @@ def _row(fit: WheelFit) -> tuple[str, ...]:
         k = float(t_quantile(dof))
         cells += [*measured(value, k * std), fixed(k, 2)]
     cells += [MISSING] * (6 - len(cells))
-    loads = span(fit.law.load_min_N, fit.law.load_max_N, "", ".0f").replace(" to ", "–")
-    return (str(fit.law.n_runs), loads, *cells)
+    return (str(fit.law.n_runs), span(fit.law.load_min_N, fit.law.load_max_N, "", ".0f").replace(" to ", "–"), *cells)
 
 
 def _single_run_text(fit: Fit) -> Text:

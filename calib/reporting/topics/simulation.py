@@ -188,8 +188,7 @@ def weighed_content(payload: WeighedPayload, *, known: bool) -> tuple[Block, ...
     ):
         cells = measured(value, 2 * std) if known else (fixed(value, decimals), "not given")
         rows.append((title, unit, *cells))
-    heads = ("<Quantity", "<Unit", "Value", "±")
-    return (table("Payload from three weighed wheels; ± is 95 % (k = 2).", heads, rows),)
+    return (table("Payload from three weighed wheels; ± is 95 % (k = 2).", ("<Quantity", "<Unit", "Value", "±"), rows),)
 
 
 def write_simulation(simulation: Simulation, folder: Path, *, force: bool) -> list[Path]:
