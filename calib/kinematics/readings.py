@@ -135,7 +135,7 @@ def _axes(turned_rad: float) -> Iterator[Reading]:
         ("mirrored", "y and heading are mirrored, or the wheels exchanged", [[1, 0, 0], [0, -1, 0], [0, 0, -1]]),
     ):
         yield Reading(Fault(code, f"ref_x_m, ref_y_m, ref_theta_rad: {what}; correct the mapping"), _linear(matrix))
-    text = "ref_theta_rad: the heading is clockwise from y, as a compass' from north; ingest pi/2 less it"
+    text = "ref_theta_rad: clockwise from y, as a compass' from north; ingest it by factor = -1, offset = 90 deg"
     compass = _referred(lambda pose: np.stack([pose[0], pose[1], 0.5 * np.pi - pose[2]]))
     yield Reading(Fault("heading_clockwise", text), compass)
 
@@ -327,6 +327,8 @@ RADIUS_FACTORS: Final = {
 RADII: Final = ("radius_left_m", "radius_right_m", "front_radius_m", "rear_radius_m", "wheel_radius_m")
 #: a radius off by more is no radius, no matter what made it
 FARTHEST: Final = 5.0
+#: a measured radius is nearer to the one at work; a gear's ratio may be any
+_KNOWN_RADIUS: Final = 0.01
 #: a length further off is a wrong setting; rubber, wear and load stay within it
 PLAUSIBLE_CHANGE: Final = 0.15
 #: a track may be an effective one, of a wide tread
@@ -392,6 +394,7 @@ def _factor(name: str, ratio: float, factors: dict[float, str], hint: str = "") 
     if abs(ratio / factor - 1.0) >= NEAR:
         return []
     meaning = factors[factor]
-    code = "half_track" if meaning.endswith("the track") else "radius_factor"
+    if name in RADII and abs(ratio / factor - 1.0) > _KNOWN_RADIUS:
+        meaning += f", or a gear of {1.0 / ratio:.3g} between counter and wheel"
     text = f"{name} is {ratio:.3g} times the nominal value, {meaning}{hint}; correct the settings or the mapping"
-    return [Fault(code, text)]
+    return [Fault("radius_factor" if name in RADII else "half_track", text)]

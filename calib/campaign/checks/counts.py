@@ -82,8 +82,7 @@ def count_scale(campaign: Campaign) -> Iterator[Note]:
                 {factor_reason(usual)}"""
             yield checks.column_note(f"counts_{side}", text, "count_scale")
             continue
-        for run in np.flatnonzero(odd):
-            yield _odd_run(campaign, int(run), side, float(ratio[run]))
+        yield from (_odd_run(campaign, int(run), side, float(ratio[run])) for run in np.flatnonzero(odd))
 
 
 def _odd_run(campaign: Campaign, run: int, side: str, ratio: float) -> Note:
@@ -162,6 +161,8 @@ def turn_direction(campaign: Campaign) -> Iterator[Note]:
 
 def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str, finding: str) -> Iterator[Note]:
     columns = f"counts_left, counts_right, {column}"
+    if against.any():  # a turn by counts that jumped is none
+        against = against & ~np.isin(campaign.runs.run_id, [note.run_id for note in count_jumps(campaign)])
     if against.sum() > max(1.0, checks.MOST_OF_THE_RUNS * clear.sum()):
         text = f"""in {int(against.sum())} of {int(clear.sum())} turning runs
             ({checks.listed(campaign.runs.run_id[against])}) {finding}; left and right look swapped throughout, or the
@@ -396,5 +397,4 @@ def implausible_paths(campaign: Campaign) -> Iterator[Note]:
 
 
 def _length_and_width(path: ComplexArray) -> FloatArray:
-    points = np.column_stack([path.real, path.imag])
-    return np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return np.linalg.svd((path - path.mean()).view(np.float64).reshape(-1, 2), compute_uv=False)

@@ -173,9 +173,7 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
         logged = f"log {name}", *checks.logged_range(campaign, name), min(permitted, weight_N)
         for column, least, most, limit in ((name, load, load, permitted), logged):
             for run in np.flatnonzero(least <= 0):
-                text = (
-                    f"found {least[run]:.4g} N; expected more than 0, or the wheel lifts off; check payload and place"
-                )
+                text = f"found {least[run]:.4g} N; expected above 0, or the wheel lifts off; check payload and place"
                 yield checks.cell_note(campaign, run, column, text, "impossible_load", "wrong")
             for run in np.flatnonzero(most > limit):
                 what = "is permitted" if limit == permitted else "is the weight of vehicle and payload"
@@ -314,6 +312,11 @@ def implausible_loads(campaign: Campaign) -> Iterator[Note]:
     good = np.isfinite(total) & (total > 0)
     if not checks.stated(campaign, "vehicle.mass_kg") or not good.any():
         return
+    shares = total / (GRAVITY_MPS2 * (vehicle.mass_kg + np.nan_to_num(runs.number("payload_kg"))))
+    light = good & (shares < _REAR_SHARE[0])
+    if LEAST_RUNS <= light.sum() < good.sum() and (unit := _unit_of_shares(shares[light])):
+        what = f"the weight of vehicle and payload in {light.sum()} runs ({checks.listed(runs.run_id[light])})"
+        yield _in_another_unit(_LOADS, float(np.median(shares[light])), what, unit)
     by_payload = good & (expected > 0)
     if by_payload.sum() >= LEAST_RUNS:
         ratios, loads = (total / expected)[by_payload], expected[by_payload]

@@ -256,7 +256,8 @@ _GRID_RATIO: Final = 0.6180339887498949
 _SPEED_WINDOW_S: Final = 0.2
 _LEAST_CORRELATION: Final = 0.5
 _LEAST_SPEED_CHANGE: Final = 0.02
-_LARGEST_LAG_S: Final = 2.0
+#: lags of computers, then those of clocks (GPS time is 18 s ahead of UTC); at its border no lag is stated
+_LARGEST_LAGS_S: Final = (2.0, 20.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -278,17 +279,25 @@ def estimate_lag(
 
     `travelled`: distance or heading at its own times, shape (n_samples,).
     """
+    lags = (_lag_within(time_s, travelled, other_time_s, other_travelled, largest) for largest in _LARGEST_LAGS_S)
+    return next((lag for lag in lags if lag), None)
+
+
+def _lag_within(
+    time_s: FloatArray, travelled: FloatArray, other_time_s: FloatArray, other_travelled: FloatArray, largest_s: float
+) -> Lag | None:
+    """Estimate a lag of less than `largest_s`, see `estimate_lag`."""
     from scipy.optimize import minimize_scalar
     from scipy.stats import t as student
 
     start, end = max(time_s[0], other_time_s[0]), min(time_s[-1], other_time_s[-1])
     own_step, other_step = float(np.median(np.diff(time_s))), float(np.median(np.diff(other_time_s)))
     step = max(own_step, other_step, 1e-3)
-    if not end - start > 4 * _LARGEST_LAG_S:
+    if not end - start > 4 * largest_s:
         return None
     # interpolated distances are less noisy: a grid in step with a stream prefers such a lag
     grid_step = max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
-    grid = np.arange(start + _LARGEST_LAG_S, end - _LARGEST_LAG_S, grid_step)
+    grid = np.arange(start + largest_s, end - largest_s, grid_step)
     half_window = max(_SPEED_WINDOW_S, step)
 
     def speed(at: FloatArray, times: FloatArray, distance: FloatArray) -> FloatArray:
@@ -305,7 +314,8 @@ def estimate_lag(
         return float(np.mean((first - first.mean()) * (second - second.mean())) / spread) if spread > 0 else 0.0
 
     everything = np.ones(len(grid), dtype=np.bool_)
-    candidates = np.arange(-_LARGEST_LAG_S, _LARGEST_LAG_S + step, max(step, 0.01))
+    # a peak is as wide as the window of a speed
+    candidates = np.arange(-largest_s, largest_s + step, max(step, 0.01 * largest_s / _LARGEST_LAGS_S[0]))
     rough = max(candidates, key=lambda lag: correlation(lag, everything))
     bounds = (rough - max(0.05, 2.0 * step), rough + max(0.05, 2.0 * step))
 
@@ -313,7 +323,7 @@ def estimate_lag(
         return float(minimize_scalar(lambda lag: -correlation(lag, keep), bounds=bounds, options={"xatol": 1e-6}).x)
 
     lag = peak(everything)
-    if correlation(lag, everything) < _LEAST_CORRELATION:
+    if correlation(lag, everything) < _LEAST_CORRELATION or abs(rough) + 0.05 > largest_s:
         return None
     block = np.arange(len(grid)) * _JACKKNIFE_BLOCKS // len(grid)
     estimates = np.asarray([peak(block != number) for number in range(_JACKKNIFE_BLOCKS)])

@@ -24,6 +24,8 @@ CUT_COLUMN: Final = "cut"
 _LEAST_LAG_SAMPLES: Final = 20
 #: at this spacing noise hardly lengthens a travelled distance
 _POSE_SPACING_S: Final = 0.1
+#: `calib geometry` looks for no longer delay
+_LONG_LAG_S: Final = 0.5
 Lines = Mapping[str, MappedColumn]
 Columns = dict[str, FloatArray]
 
@@ -71,6 +73,9 @@ def read_mapped(files: Mapping[str, Path], mapping: LabMapping, settings: Campai
         if base.time_ns is not None:
             _note_clocks(recording, base, shown, border)
             lags = _lags(recording, lines, base, shown, border)
+            if mapping.log.lag != "remove" and any(abs(lag.lag_s) > _LONG_LAG_S for lag in lags.values()):
+                text = 'so long a lag is two clocks: lag = "remove" in [log] takes it off'
+                border.say(shown, text, "two_clocks")
         raw = _joined(recording, base, lines, lags if mapping.log.lag == "remove" else {}, shown)
         raw = _of_all_wheels(raw, lines, shown, border)
     border.notes.extend(raw.notes)
@@ -247,6 +252,9 @@ def _renamed(raw: RawTable, lines: Lines, shown: str, border: Border) -> tuple[d
             columns[name] = floats(cells)
         else:
             match = recognise(line.target(name), LOG_COLUMNS, further=False)
+            if text := line.on_unit(name):
+                border.say(f"{shown}, column {line.column}", text, "unit")
+            cells = floats(cells) + line.offset / line.factor
             columns[name] = converted(cells, match.factor * line.scale(name), match.offset)
     time_column = logs.add_recognised(columns, raw, shown, border, {line.column for line in lines.values()})
     time_column = lines["t_s"].column if "t_s" in lines else time_column

@@ -70,7 +70,7 @@ class MappedColumn(_Model):
     value: bool | str | int | float | Annotated[list[bool | str | int | float], Field(min_length=1)] | None = Field(
         default=None, description="a text or a number, or a list of one a run"
     )
-    minus: str = Field(default="", description="the name of a column of numbers")
+    minus: str = Field(default="", description="the name of a column of numbers (a constant is an offset)")
     #: column w of a quaternion about the vertical, `column` its z
     w: str = Field(default="", description="the name of a column of numbers")
     unit: str | None = Field(default=None, description="the name of a unit")
@@ -80,6 +80,8 @@ class MappedColumn(_Model):
     key: str = Field(default="", description="the sheet's column that holds the texts looked up")
     fill_down: bool = Field(default=False, description="true or false")
     factor: float = Field(default=1.0, gt=-1e12, lt=1e12, description="a factor that is a number other than 0")
+    #: in the line's unit, added to the factor's product
+    offset: float = Field(default=0.0, gt=-1e12, lt=1e12, description="a number in the line's unit")
     values: dict[str, bool | str | int | float] = Field(
         default_factory=dict, description='texts and their meanings, as {hin = "out", zurueck = "back"}'
     )
@@ -117,6 +119,12 @@ class MappedColumn(_Model):
         ending = split_suffix(self.column)[1] if abs(self.factor) == 1.0 else ""
         unit = unit_spelled(bracketed(self.column)[1] or ending or "")
         return unit if unit in units_for(name) or (name == "t_s" and _frames_per_s(unit)) else None
+
+    def on_unit(self, name: str) -> str:
+        """Return what is to be said of a unit in brackets that column `name` has not; empty where the line states one."""
+        stated = self.unit is not None or self.factor != 1.0 or self.values or self.unit_for(name)
+        unit = "" if stated or split_suffix(name)[1] is None else bracketed(self.column)[1]
+        return unit and f"[{unit}] is no unit of {name}, whose values are taken as they stand; state unit or factor"
 
     @property
     def wheel_unit(self) -> str:

@@ -152,6 +152,8 @@ def mapped_runs(
     columns: dict[str, npt.NDArray[Any]] = {}
     for name, line in lines.items():
         if line.column:
+            if text := line.on_unit(name):
+                border.say(f"{shown}, column {line.column}", text, "unit")
             columns[line.target(name)] = _cells(raw, name, line, mapping, shown)
             factor = line.scale(name)
             if name.startswith("counts_"):
@@ -185,11 +187,10 @@ def _cells(raw: RawTable, name: str, line: MappedColumn, mapping: LabMapping, sh
         actual, remedy = f"only {', '.join(raw.columns)[:200]}", f"correct table.{name} in {mapping.shown}"
         row = max(1, int(raw.line[0]) - 1) if len(raw.line) else 1
         raise BadFileError(shown, actual, "the column that the mapping names", remedy, row=row, column=column)
-    if line.minus:
+    if line.minus or line.offset:
         comma = comma_evidence(list(raw.columns.values()))
-        sources = (line.column, line.minus)
-        end, start = (numbers(raw.columns[column], shown, column, raw.line, comma)[0] for column in sources)
-        return end - start
+        end, *start = (numbers(raw.columns[column], shown, column, raw.line, comma)[0] for column in line.sources)
+        return end - sum(start) + line.offset / line.factor
     cells = raw.columns[line.column]
     if not line.values:
         return cells

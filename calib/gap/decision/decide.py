@@ -117,7 +117,7 @@ def decide(evidence: Evidence) -> Diagnosis:
         where=evidence.where,
         closure=closure,
         unexplained=None if kind in NO_GAP_SHOWN and not situation.faults else unexplained,
-        fix=_of_sound_data(replace(fix, moves=moved(evidence, fix, causes)), situation, causes) if causes else fix,
+        fix=replace(fix, moves=moved(evidence, fix, causes)) if causes else fix,
         notes=(*evidence.observations.notes, *situation.notes, *_on_causes(evidence, causes, small)),
         noise_level=noise_level,
         probabilities=dict(sorted(stated.items(), key=lambda item: -item[1])),
@@ -127,19 +127,17 @@ def decide(evidence: Evidence) -> Diagnosis:
         gap_probability=1.0 if situation.faults else gap_probability,
         evidence=evidence,
     )
-    return _in_words(diagnosis, evidence)
+    wrong = [] if diagnosis.kind in NOTHING_NAMED else _wrong_data(situation, diagnosis)
+    why = [f"sizes follow {note.where}, which cannot be as stated ({note.text}): correct this first" for note in wrong]
+    fix = replace(diagnosis.fix, recommended=fix.recommended and not wrong, why=(*why, *fix.why))
+    return _in_words(replace(diagnosis, fix=fix), evidence, wrong)
 
 
-def _of_sound_data(fix: Fix, situation: Situation, causes: Sequence[Cause]) -> Fix:
-    wrong = _wrong_data(situation, causes)
-    why = (f"sizes follow {note.where}, which cannot be as stated ({note.text}): correct this first" for note in wrong)
-    return replace(fix, recommended=fix.recommended and not wrong, why=(*why, *fix.why))
-
-
-def _wrong_data(situation: Situation, causes: Sequence[Cause]) -> list[Note]:
-    of_load = any("load" in cause.effect for cause in causes)
+def _wrong_data(situation: Situation, diagnosis: Diagnosis) -> list[Note]:
     if situation.faults:
         return []
+    # wrong loads spoil what follows the load, or hide it in the rest
+    of_load = diagnosis.unexplained is not None or any("load" in cause.effect for cause in diagnosis.causes)
     runs, campaign = situation.campaign.runs, situation.campaign.included()
     # runs omitted may show what is wrong with their session
     every = replace(runs, excluded=runs.excluded & ~np.isin(runs.run_id, list(situation.omitted)))
@@ -174,7 +172,7 @@ def tied_with(causes: Sequence[Cause], groups: Sequence[Sequence[str]]) -> list[
     return [group for group in groups if len(group) > 1 and group[0] in {cause.effect for cause in causes}]
 
 
-def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
+def _in_words(diagnosis: Diagnosis, evidence: Evidence, wrong: Sequence[Note]) -> Diagnosis:
     off = misfit_of(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     sentence = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
@@ -184,7 +182,7 @@ def _in_words(diagnosis: Diagnosis, evidence: Evidence) -> Diagnosis:
             names = sentences.joined(evidence.situation.omitted, "and")
             first = (*first, f"{names} alone: look at reference, start, counts and steering, or exclude.")
     else:
-        first = tuple(note.sentence for note in _wrong_data(evidence.situation, diagnosis.causes))
+        first = tuple(note.sentence for note in wrong)
         blunders = (cause for cause in diagnosis.causes if cause.signal == float("inf"))
         first += tuple(f"{cause.form}: {cause.remark}." for cause in blunders)
     lead = f"Correct this first: {' '.join(first)} Until then: " if first else ""
