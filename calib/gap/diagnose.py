@@ -160,7 +160,7 @@ def _furthest(diagnosis: Diagnosis) -> dict[str, float]:
     seen, fitted = evidence.observations, evidence.fitted
     off = np.sqrt(evidence.left_out.squares(fitted.left) / np.fmax(seen.usable.sum(axis=1), 1))
     run, kind = int(np.argmax(off)), seen.labels["kind"]
-    apart = off[run] > BAD_RUN_RATIO * max(np.delete(off, run)) and (kind == kind[run]).sum() > 1
+    apart = off[run] > BAD_RUN_RATIO * np.delete(off, run).max(initial=0.0) and (kind == kind[run]).sum() > 1
     return {str(seen.labels["run_id"][run]): float(misfit(fitted.path)[run])} if apart else {}
 
 

@@ -200,7 +200,7 @@ def test_no_gap_beside_a_run_that_no_noise_takes_so_far_is_no_all_clear() -> Non
     x_m[7] += 0.1
     verdict = diagnose_in_full(with_numbers(right, ref_x_m=x_m), plan=False)
     assert verdict.kind is VerdictKind.NO_GAP
-    assert verdict.correct_first[0].startswith("r007 (")
+    assert verdict.correct_first[0].startswith("r007 alone")
     assert after_diagnosis(verdict) == "diagnose wrong"
     clear = verdict_on(1, 32)
     assert (clear.kind, clear.correct_first) == (VerdictKind.NO_GAP, ())

@@ -74,7 +74,7 @@ def test_named_causes_predict_a_recording_left_out_no_worse_than_a_joint_calibra
     def squares_m2(path: DrivenPath) -> np.ndarray:
         return np.sum(residuals(path, nominal)[mine, 1:3] ** 2, axis=1)
 
-    effects = {effect.id: effect for effect in without.effects}
+    effects = {effect.id: effect for effect in without.arrays.effects.values()}
     forms = [
         next(form for form in effects[own.effect].forms(every) if form.label == own.label).centred_at(own.centre)
         for own in without.fitted.forms

@@ -121,9 +121,9 @@ class MappedColumn(_Model):
         return unit if unit in units_for(name) or (name == "t_s" and _frames_per_s(unit)) else None
 
     def on_unit(self, name: str) -> str:
-        """Return what is to be said of a unit in brackets that column `name` has not; empty where the line states one."""
+        """Return a note on a unit in brackets that column `name` cannot have; empty where the line states one."""
         stated = self.unit is not None or self.factor != 1.0 or self.values or self.unit_for(name)
-        unit = "" if stated or split_suffix(name)[1] is None else bracketed(self.column)[1]
+        unit = "" if stated or split_suffix(name)[1] is None else bracketed(self.column)[1] or ""
         return unit and f"[{unit}] is no unit of {name}, whose values are taken as they stand; state unit or factor"
 
     @property

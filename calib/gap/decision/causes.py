@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.gap.decision import most_square, reach_of_noise
 from calib.gap.decision.constancy import SessionScatter, SizeDifference, beside_named_steps, session_scatter
-from calib.gap.decision.diagnosis import Cause, Evidence, Quantity, Unexplained
+from calib.gap.decision.diagnosis import Cause, Evidence, Fix, Quantity, Unexplained
 from calib.gap.decision.kind import NEGLIGIBLE_SHARE, ON_FLOOR
 from calib.gap.effects import Form
 from calib.gap.effects.encoder import Blunder
@@ -24,7 +24,7 @@ from calib.gap.inference import (
     PROBABILITY_CLASSES,
     SMALL_SHARE,
 )
-from calib.gap.inference.fit import CALIBRATION_SD, Fitted, identifiability_message, undetermined
+from calib.gap.inference.fit import CALIBRATION_SD, identifiability_message, undetermined
 from calib.gap.inference.marginal_likelihood import FLOOR_DOF, Nuisance
 from calib.gap.observations import Channel
 from calib.types import FloatArray, few_digits
@@ -187,8 +187,11 @@ def _means(form: Form, theta: FloatArray, covariance: FloatArray, coverage: floa
     return means
 
 
-def as_corrected(evidence: Evidence, causes: Sequence[Cause], fitted: Fitted) -> list[Cause]:
-    """Return causes with the sizes of the fit that corrects by them: without what is fitted and not named."""
+def as_corrected(evidence: Evidence, causes: Sequence[Cause], fix: Fix) -> Sequence[Cause]:
+    """Return causes with the sizes of a recommended fix of them all: beside what is not named they would be parts."""
+    fitted, others = fix.fitted, {cause.effect for cause in causes}.difference(fix.corrects or ())
+    if not fix.recommended or fitted is None or others:
+        return causes
     own, scatter = np.eye(4 + len(evidence.fitted.parameters)), session_scatter(evidence)
     places = {form.effect: place for form, _, place in evidence.fitted.each()}
     sized = [

@@ -102,10 +102,7 @@ def decide(evidence: Evidence) -> Diagnosis:
     if (causes or situation.faults) and not fix.recommended and evidence.noise.supported:
         fix = sure_part(evidence, finding, fix)
         causes = [cause for cause in causes if is_named_beside(cause, fix, finding)]
-    # beside what is fitted and not named a size is a part
-    if fix.recommended and fix.fitted is not None and {cause.effect for cause in causes}.issubset(fix.corrects or ()):
-        causes = naming.as_corrected(evidence, causes, fix.fitted)
-    causes, closure = ranked(causes), fix.closure or closure
+    causes, closure = ranked(naming.as_corrected(evidence, causes, fix)), fix.closure or closure
     fix = shown_by_many(fix, closure)
     kind = _as_delivered(kind, fix, closure)
     diagnosis = Diagnosis(
@@ -127,10 +124,14 @@ def decide(evidence: Evidence) -> Diagnosis:
         gap_probability=1.0 if situation.faults else gap_probability,
         evidence=evidence,
     )
-    wrong = [] if diagnosis.kind in NOTHING_NAMED else _wrong_data(situation, diagnosis)
+    return _in_words(*_of_sound_data(diagnosis, situation), evidence)
+
+
+def _of_sound_data(diagnosis: Diagnosis, situation: Situation) -> tuple[Diagnosis, list[Note]]:
+    fix, wrong = diagnosis.fix, [] if diagnosis.kind in NOTHING_NAMED else _wrong_data(situation, diagnosis)
     why = [f"sizes follow {note.where}, which cannot be as stated ({note.text}): correct this first" for note in wrong]
-    fix = replace(diagnosis.fix, recommended=fix.recommended and not wrong, why=(*why, *fix.why))
-    return _in_words(replace(diagnosis, fix=fix), evidence, wrong)
+    fix = replace(fix, recommended=fix.recommended and not wrong, why=(*why, *fix.why))
+    return replace(diagnosis, fix=fix), wrong
 
 
 def _wrong_data(situation: Situation, diagnosis: Diagnosis) -> list[Note]:
@@ -146,7 +147,7 @@ def _wrong_data(situation: Situation, diagnosis: Diagnosis) -> list[Note]:
         [*implausible(campaign), *of_sessions],
         [note.run_id for note in loads_against_payload(campaign) if note.run_id],
     )
-    if 0 < 2 * len(odd) < len(campaign.runs):
+    if 0 < 2 * len(odd) < len(campaign.runs) and not any("load" in note.where for note in notes):
         text = "vehicle and payload ask for other loads; check unit and weighing"
         notes.append(Note("wrong", f"runs {listed(odd)}, load_left_N, load_right_N", text))
     return [note for note in notes if of_load or "load" not in note.where]
@@ -172,13 +173,13 @@ def tied_with(causes: Sequence[Cause], groups: Sequence[Sequence[str]]) -> list[
     return [group for group in groups if len(group) > 1 and group[0] in {cause.effect for cause in causes}]
 
 
-def _in_words(diagnosis: Diagnosis, evidence: Evidence, wrong: Sequence[Note]) -> Diagnosis:
+def _in_words(diagnosis: Diagnosis, wrong: Sequence[Note], evidence: Evidence) -> Diagnosis:
     off = misfit_of(evidence)
     blunder = diagnosis.kind is VerdictKind.UNKNOWN and off >= BLUNDER_MISFIT
     sentence = sentences.blunder_sentence(diagnosis, off) if blunder else sentences.sentence(diagnosis)
     if diagnosis.kind in NOTHING_NAMED:
         first = _on_data(evidence.situation, blunder) or _single_runs(evidence) * (diagnosis.kind is VerdictKind.NO_GAP)
-        if diagnosis.kind is VerdictKind.NO_GAP and evidence.observations.windowed and evidence.situation.omitted:
+        if diagnosis.kind is VerdictKind.NO_GAP and evidence.situation.omitted:
             names = sentences.joined(evidence.situation.omitted, "and")
             first = (*first, f"{names} alone: look at reference, start, counts and steering, or exclude.")
     else:

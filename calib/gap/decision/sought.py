@@ -269,28 +269,31 @@ def refuse_copied(campaign: Campaign, nominal: Path) -> None:
 def lone_run(situation: Situation) -> dict[str, float]:
     """Return the one run, by id, its share off, beside which a recalibration leaves all others within the stated noise.
 
-    Of runs driven twice that which is three times as far off its repeats as any other: two of them stay, else one of
-    its kind.
+    Of runs driven twice that which is three times as far off its nearest repeat as any other, else another of its kind
+    stays.
     """
-    observations = situation.observations
+    from scipy.spatial import KDTree
+
+    nominal, noise, observations = situation.nominal, situation.noise, situation.observations
     if observations.windowed or situation.omitted:
         return {}
-    nominal, noise, rows = situation.nominal, situation.noise, observations.usable.sum(axis=1)
+    rows, whole = observations.usable.sum(axis=1), recalibrate(nominal, noise)
+    unit, off = np.arange(len(rows)), np.zeros(len(rows))
     if noise.dof > 0.0:
-        off, repeats = 1.0 / np.sqrt(noise.weight), observations.condition
+        left = np.where(observations.usable, whole.left / (noise.floor * np.sqrt(noise.weight)[:, None]), 0.0)
+        for alike in (np.flatnonzero(observations.condition == one) for one in set(observations.condition)):
+            # from the nearest: of a pair none is the one that is off
+            off[alike] = KDTree(left[alike]).query(left[alike], 2)[0][:, 1] if len(alike) > 1 else 0.0
         run = int(np.argmax(off))
-        apart = off[run] > BAD_RUN_RATIO * max(np.delete(off, run)) and (repeats == repeats[run]).sum() > 2
-        return _named(recalibrate(nominal, noise), np.arange(len(rows)), [run]) if apart else {}
-    if not noise.supported:
-        return {}
-    squares = squares_by_unit(nominal, noise, (whole := recalibrate(nominal, noise)).left)
+        return _named(whole, unit, [run]) if off[run] > BAD_RUN_RATIO * max(np.delete(off, run)) else {}
+    squares = squares_by_unit(nominal, noise, whole.left)
     run, kind = int(np.argmax(squares)), observations.labels["kind"]
-    if whole.chi_square <= most_square(int(rows.sum())) or (kind == kind[run]).sum() < 2:
+    if not noise.supported or whole.chi_square <= most_square(int(rows.sum())) or (kind == kind[run]).sum() < 2:
         return {}
-    others = _by_others(nominal, noise, np.arange(len(rows)) == run)
+    others = _by_others(nominal, noise, unit == run)
     if others.chi_square > most_square(int(rows.sum() - rows[run])):
         return {}
-    return _named(others, np.arange(len(rows)), [run])
+    return _named(others, unit, [run])
 
 
 def lone_recordings(situation: Situation) -> dict[str, float]:

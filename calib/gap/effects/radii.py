@@ -291,10 +291,11 @@ class BrakingSkid(Effect):
         def slides(path: Path, power: int, acts: list[bool]) -> list[Perturbation]:
             s, at = path.s, stops(path.s)
             along = np.where(at, np.where(s.path_m < 0.0, -1.0, 1.0) * _highest_mps(s, at) ** power, 0.0)
-            by_rad = (np.abs(along) * curvature_per_m(s), along / observations.model.track_m)
+            by_rad = along / observations.model.track_m
             # it turns where the step ends
-            turns = (Perturbation(heading_rad=by, lateral_m=-0.5 * by * s.path_m) for by in by_rad)
-            return [*compress([Perturbation(along_m=along), *turns], acts)]
+            unlike = Perturbation(heading_rad=by_rad, lateral_m=-0.5 * by_rad * s.path_m)
+            creep = Perturbation(heading_rad=np.abs(along) * curvature_per_m(s))
+            return [*compress([Perturbation(along_m=along), creep, unlike], acts)]
 
         offers: list[Offer] = []
         for unlike, (label, one, power) in product((False, True)[: 1 + headed], laws[: 1 + speeds_differ]):

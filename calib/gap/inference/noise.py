@@ -148,7 +148,7 @@ def estimate_noise(path: Path, gap: FloatArray) -> Noise:
         part = whole if thinned is grouped else repeatability.ScaleLikelihood(path, gap, shapes, thinned, trends)
         log_scale = repeatability.most_likely_scales(whole if part.dof < MIN_DOF else part, prior)
         weight = np.ones(len(gap))
-        weight[whole.grouped.units] = whole.weights(log_scale, whole.weights(log_scale, np.ones(len(whole.usable))))
+        weight[whole.grouped.units] = whole.weights(log_scale)
         noise = _noise(path, shapes, log_scale, weight, basis, whole.dof)
         noise = replace(noise, levels_dof=shapes.dof(log_scale, part.uncertainty(log_scale)))
         if noise.supported and not (basis is Basis.ROUTE and _contradicts_repeats(path, gap, shapes, log_scale)):

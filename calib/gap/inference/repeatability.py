@@ -21,8 +21,7 @@ SCALE_BOUNDS: Final = [(m - 4 * w, m + 5 * w) for m, w in zip(np.log(PRIOR_MEDIA
 OUTLIER_PROBABILITY: Final = 0.05
 #: most units that scales are found from: known to a few per cent
 MAX_REPLICATES: Final = 480
-#: a unit off by a thousand levels takes ten
-_WEIGHT_ROUNDS: Final = 12
+_WEIGHT_ROUNDS: Final = 3
 #: what each group may have of its own: a calibration and a mean in each channel
 N_GROUP_COLUMNS: Final = 9
 #: of sums of products in double precision, relative
@@ -164,15 +163,15 @@ class ScaleLikelihood:
         gradient = slope * np.exp(2 * log_scale) + away / PRIOR_SPREADS
         return 0.5 * (log_det + middle + float(away @ away)), gradient
 
-    def weights(self, log_scale: FloatArray, weight: FloatArray) -> FloatArray:
-        """Return unit weights, 1 within normal reach of the repeats as weighted so far, (n,)."""
+    def weights(self, log_scale: FloatArray) -> FloatArray:
+        """Return unit weights, 1 within normal reach of the repeats, (n,)."""
         from scipy.special import chdtri
 
-        residual, own, _ = self.solved(whitener_of(self.shapes.covariance(log_scale, weight)))
+        residual, own, _ = self.solved(whitener_of(self.shapes.covariance(log_scale, np.ones(len(self.usable)))))
         lever = 6.0 - np.trace(own, axis1=1, axis2=2)
         dim = np.maximum(self.usable.sum(axis=1), 1)
         kept = np.maximum(dim - lever, 0.25 * dim)
-        square = (residual**2).sum(axis=1) / weight / kept * dim
+        square = (residual**2).sum(axis=1) / kept * dim
         reach = chdtri(dim, OUTLIER_PROBABILITY)
         return np.asarray(reach / np.maximum(square, reach))
 
@@ -206,8 +205,8 @@ def most_likely_scales(likelihood: ScaleLikelihood, start: FloatArray) -> FloatA
         how = {"method": "L-BFGS-B", "bounds": SCALE_BOUNDS, "options": {"maxiter": 30, "ftol": 1e-6}}
         best = minimize(likelihood.cost, best, (weight,), jac=True, **how).x
         # what the weights take from normal noise makes scales smaller
-        fresh = likelihood.weights(best, weight) / likelihood.weighted_share
-        if np.abs(np.log(fresh / weight)).max() < 0.05:
+        fresh = likelihood.weights(best) / likelihood.weighted_share
+        if np.abs(fresh - weight).max() < 0.05:
             break
         weight = fresh
     return best

@@ -127,7 +127,7 @@ def study(lab: str, cause: str, seeds: int) -> Outcome:
         ambiguous += 1
         ties = [*before.groups]
         by = partial(apart_on, before.arrays)
-        runs = next_runs(made, before.effects, before.noise, ties, apart_on=by)
+        runs = next_runs(made, [*before.arrays.effects.values()], before.noise, ties, apart_on=by)
         proposed.append(sum(run.count for run in runs))
         after = diagnose_in_full(with_runs(made, runs, truth, off, rng), plan=False)
         told += not any(cause in group and set(rivals) & {*group} - {cause} for group in after.groups)

@@ -174,12 +174,14 @@ def _(run: Run, now: Motion) -> None:
     skid(run, now, 2e-3, turning=0.0)
 
 
-@case("braking_skid", "the same at each stop, one wheel further", 2e-3, 2e-3, 1e-3, runs=LOGGED)
+@case("braking_skid", "the same at each stop, one wheel further", 2e-3, 0.0, 1e-3, runs=LOGGED)
 def _(run: Run, now: Motion) -> None:
     # the right wheel by half a slide more than the middle of both, the left one by as much less
-    skid(run, now, 2e-3)
+    skid(run, now, 2e-3, turning=0.0)
     if now.yaw_rad is not None and now.along_m is not None:
-        now.yaw_rad = now.yaw_rad + 0.5 * now.along_m / TRACK_M
+        unlike_rad = 0.5 * now.along_m / TRACK_M
+        # it turns where it stops, not along its last step
+        now.yaw_rad, now.lateral_m = now.yaw_rad + unlike_rad, -0.5 * unlike_rad * now.ds_m
 
 
 @case("braking_skid", "~ v^2", 4e-3, 4e-3, within=1e-2, runs=RAMPED)
