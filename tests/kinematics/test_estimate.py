@@ -120,6 +120,15 @@ def test_half_a_track_and_a_diameter_for_a_radius_are_said(nominal: tuple[float,
     assert found["track_m"].value == pytest.approx(TRUTH.track_m, rel=1e-2)
 
 
+@pytest.mark.parametrize(("gear", "said"), [(4.0, False), (4.2, True)])
+def test_a_gear_near_a_usual_factor_is_named_beside_it(gear: float, said: bool) -> None:
+    """Counts of a shaft before a gear: 4.2 is no quadrature, whose radius would be 5 % off."""
+    nominal = (gear * TRUTH.radius_left_m, gear * TRUTH.radius_right_m, 0.4)
+    made = campaign(mixed(2), TRUTH, np.random.default_rng(7), nominal=nominal)
+    texts = [fault.text for fault in estimate_geometry(made).faults]
+    assert any(f"a gear of {gear:.3g}" in text for text in texts) == said, texts
+
+
 def test_umbmark_and_least_squares_agree_on_squares_both_ways() -> None:
     """E_d and E_b of UMBmark are the ratio of the radii, and the track over the nominal one at the mean radius."""
     truth = Truth(radius_left_m=0.0501, radius_right_m=0.05, track_m=0.402)

@@ -29,6 +29,8 @@ _LISTED_TEXTS: Final = 6
 _FEW_ROWS: Final = 40
 _MOSTLY_NUMBERS: Final = 0.8
 _LEAST_NAMES: Final = 2
+#: a table turned has a row a quantity
+_MOST_QUANTITIES: Final = 200
 
 
 OF_FOLDERS: Final = "their runs become one campaign; several vehicles: ingest one by one, then 'calib fleet'"
@@ -200,18 +202,16 @@ def _table_contents(path: Path, shown: str, sheet: str) -> FileContents:
 
 
 def _as_read(path: Path, shown: str, layout: Layout) -> tuple[Layout, RawTable]:
-    turned, n_turned = replace(layout, runs_in_columns=True), 0
+    turned, known, raw = replace(layout, runs_in_columns=True), _LEAST_NAMES, None
     with suppress(BadFileError):
-        other = read_table(path, shown, None, turned)
-        n_turned = _n_known(other.columns)
-    try:
         raw = read_table(path, shown, None, layout)
-    except BadFileError:
-        # a first column's names do not repeat
-        if n_turned <= _LEAST_NAMES:
-            raise
-        return turned, other
-    return (turned, other) if n_turned > max(_LEAST_NAMES, _n_known(raw.columns)) else (layout, raw)
+        known = max(known, _n_known(raw.columns))
+    if raw is None or len(raw.line) <= _MOST_QUANTITIES:
+        with suppress(BadFileError):
+            other = read_table(path, shown, None, turned)
+            if _n_known(other.columns) > known:
+                return turned, other
+    return layout, raw if raw is not None else read_table(path, shown, None, layout)
 
 
 def _n_known(names: Iterable[str]) -> int:

@@ -131,7 +131,8 @@ def reading_of(name: str) -> tuple[str, str] | None:
 def guessed_log_column(name: str) -> str | None:
     """Return the log's column of a name, or None; of ``stream:column`` the last part first."""
     parts = re.split(r"[:/.]*[:/](?![^\[(]*[\])])", name)
-    last = re.sub(r"^(position|velocity|effort)\.", "", parts[-1])
+    # of ROS, "rostopic echo -p" as well
+    last = re.sub(r"^(%|field\.|position\.|velocity\.|effort\.)+", "", parts[-1])
     return _guessed_in_log(last) or _guessed_in_log("_".join(parts).strip("_"))
 
 
@@ -293,8 +294,9 @@ def _lag_within(
     start, end = max(time_s[0], other_time_s[0]), min(time_s[-1], other_time_s[-1])
     own_step, other_step = float(np.median(np.diff(time_s))), float(np.median(np.diff(other_time_s)))
     step = max(own_step, other_step, 1e-3)
-    if not end - start > 4 * largest_s:
+    if not end - start > 4 * _LARGEST_LAGS_S[0]:
         return None
+    largest_s = min(largest_s, 0.25 * (end - start))
     # interpolated distances are less noisy: a grid in step with a stream prefers such a lag
     grid_step = max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
     grid = np.arange(start + largest_s, end - largest_s, grid_step)

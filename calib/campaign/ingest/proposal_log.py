@@ -2,8 +2,9 @@
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Final
 
 from calib.campaign.ingest import ColumnContents, FileContents, guesses
@@ -73,17 +74,21 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
     columns: list[ColumnContents] = []
     streams: list[StreamContents] = []
     times: dict[str, ColumnContents] = {}
+    labels: dict[str, str] = {}
     for tag, part in parts.items():
         alike = [log for log in logs if re.sub(r"\d+", "#", log.name) == re.sub(r"\d+", "#", part.name)]
         of_part = _with_bits(part, alike)
         clocks = [c for c in of_part if guessed_log_column(c.name) == "t_s"]
+        clocks.sort(key=lambda c: not c.name.endswith("stamp"))
         time = next(iter([*clocks, *(c for c in of_part if c.even or c.kind == "time")]), None)
         times |= {tag: time} if time is not None else {}
-        own = [replace(c, name=f"{tag}:{c.name}") for c in of_part if c is not time and c.kind == "number"]
+        own = [c for c in of_part if c is not time and c not in clocks and c.kind == "number"]
+        own = [replace(c, name=f"{tag}:{c.name}") for c in own]
+        labels |= {f"{tag}:{name}": label for name, label in _joints(of_part)}
         streams.append(StreamContents(tag, _UNTYPED[0], part.n_rows, "", tuple(c.name for c in own)))
         columns += own
     log = FileContents(", ".join(parts), True, 0, tuple(columns), (), tuple(streams))
-    lines, chosen = _column_lines(log, columns)
+    lines, chosen = _column_lines(log, columns, labels)
     own_times = {tag: _line("t_s", time).partition("   #")[0].removeprefix("t_s = ") for tag, time in times.items()}
     if times:
         chosen["t_s"] = next(iter(times.values()))
@@ -92,6 +97,14 @@ def _lines_of_several(parts: Mapping[str, FileContents], logs: Sequence[FileCont
         several = f"clocks = {{{each}}}   # the times of each file" + "; state ? Hz" * ("?" in each)
         lines.insert(0, _line("t_s", chosen["t_s"]) if one_clock else several)
     return [*lines, *_missing(lines, chosen, logs)]
+
+
+def _joints(columns: Sequence[ColumnContents]) -> Iterator[tuple[str, str]]:
+    # of "rostopic echo -p": name0 says what position0 is of
+    for column in columns:
+        match = re.fullmatch(r"(.*)name(\d+)", column.name)
+        if match and len(column.texts) == 1:
+            yield f"{match[1]}position{match[2]}", f"{column.texts[0]} position"
 
 
 def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnContents]:
@@ -103,14 +116,16 @@ def _with_bits(log: FileContents, alike: Sequence[FileContents]) -> list[ColumnC
     ]
 
 
-def _column_lines(log: FileContents, columns: list[ColumnContents]) -> tuple[list[str], dict[str, ColumnContents]]:
+def _column_lines(
+    log: FileContents, columns: list[ColumnContents], labels: Mapping[str, str] = MappingProxyType({})
+) -> tuple[list[str], dict[str, ColumnContents]]:
     streams = {name: stream for stream in log.streams for name in stream.columns}
     kinds = {stream.kind: stream for stream in reversed(log.streams)}
     reference = next((kinds[kind] for kind in (*_POSES, _ODOMETRY) if kind in kinds), None)
     columns, lines = _of_one_body(columns)
     chosen: dict[str, ColumnContents] = {}
     for column in sorted(columns, key=_preference):
-        target = guessed_log_column(column.name)
+        target = guessed_log_column(labels.get(column.name, column.name))
         if target and target not in chosen and _plausible(target, column, streams.get(column.name), reference):
             chosen[target] = column
     _to_ground(chosen, columns)
@@ -329,7 +344,7 @@ def _wheel_unit(column: ColumnContents, stream: StreamContents | None) -> tuple[
         return unit, f"   # {column.does}"
     if column.kind != "number" or column.whole or column.wrap_bits:
         return "", ""
-    if column.does:
+    if column.does or "position" in column.name:
         return "rad", "   # no whole numbers: an angle; rad, deg or turns"
     return "rad/s", "   # neither whole nor rising: a rate; or rad, an angle"
 

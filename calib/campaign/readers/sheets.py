@@ -1,6 +1,7 @@
 """Laboratories' tables: several header rows, units, remarks, means and sums among the rows."""
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, repeat, zip_longest
 from math import pi
@@ -173,11 +174,11 @@ def _joined(names: Sequence[str], groups: Sequence[Sequence[str]]) -> list[str]:
             last = cell or last
             spread[at] = last or spread[at]
             own[at] = cell or own[at]
-    out = []
-    twice = any(len(name) == 1 and names.count(name) > 1 for name in names)
+    out, times = [], Counter(names)
+    twice = any(len(name) == 1 and times[name] > 1 for name in names)
     for at, name in enumerate(names):
         # W beside an X and Y of two quantities
-        unclear = not name or names.count(name) > 1 or _SIDE.fullmatch(name) or (len(name) == 1 and twice)
+        unclear = not name or times[name] > 1 or _SIDE.fullmatch(name) or (len(name) == 1 and twice)
         group = (spread[at] if name else own[at]) if unclear else ""
         unit = _UNIT_AT_END.search(group) if name else None
         parts = (group[: unit.start()].rstrip(), name, unit[0].strip()) if unit else (group, name)

@@ -16,6 +16,7 @@ from calib.campaign.checks.counts import (
     interrupted_counts,
     log_speed,
     reversed_wheels,
+    turn_direction,
 )
 from calib.campaign.model import Logs
 from calib.campaign.read import read_campaign
@@ -36,6 +37,19 @@ def test_a_jump_of_a_whole_counter_is_named_as_its_overflow() -> None:
     counts[part] += 30000.0 * (np.arange(part.stop - part.start) > 700)
     (found,) = count_jumps(with_log_columns(made, counts_left=counts))
     assert "wrap_bits" not in found.text
+
+
+def test_counts_that_overflow_show_no_turn_the_other_way() -> None:
+    """A counter that jumps by twice what it turned says that one run turned the other way; its log tells the jump."""
+    made = driven.campaign(driven.both_ways(2), driven.Truth(), np.random.default_rng(3), along=True, samples=80)
+    left, right = (made.runs.number(f"counts_{side}").copy() for side in ("left", "right"))
+    jump = 2.0 * (left[0] - right[0])
+    right[0] += jump
+    other = with_numbers(made, counts_right=right)
+    assert [note.run_id for note in turn_direction(other)] == [made.runs.run_id[0]]
+    counts = made.logs.columns["counts_right"].copy()
+    counts[made.logs.offsets[0] + 40 : made.logs.offsets[1]] += jump
+    assert not list(turn_direction(with_log_columns(other, counts_right=counts)))
 
 
 def _read(tmp_path: Path, turned: np.ndarray, step_s: float) -> tuple[np.ndarray, list[str]]:

@@ -87,6 +87,16 @@ def test_a_stated_mass_tells_the_unit_wherever_its_centre_is(share: float) -> No
         assert [note.text.split("; ")[-1].partition(":")[0] for note in implausible_loads(made)] == said
 
 
+def test_loads_of_some_runs_in_kilograms_are_told_by_the_least_share_of_the_weight() -> None:
+    """One session of four in kg: a tenth of the weight on two wheels; those of all runs are another finding."""
+    made = _placed(0.5, 1.0, *PLACE)
+    of_session = made.runs.label("session") == "s2"
+    loads = np.where(of_session, 1 / 9.81, 1.0) * made.runs.number("load_left_N")
+    (found,) = implausible_loads(with_numbers(made, load_left_N=loads, load_right_N=loads))
+    assert f"in {of_session.sum()} runs" in found.text and KG in found.text
+    assert not list(implausible_loads(made))
+
+
 def test_the_empty_vehicle_tells_a_unit_either_way() -> None:
     """Three runs without payload are no column of their own; where none is known to be empty all may be laden."""
     for payload, said in ((True, 1), (False, 0)):

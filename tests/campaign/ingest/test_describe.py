@@ -319,6 +319,24 @@ def test_files_of_a_run_with_clocks_of_their_own_are_joined_as_proposed(tmp_path
     assert np.nanmax(np.abs(log["ref_x_m"] - 0.5 * log["t_s"])) < 1e-6
 
 
+def test_joints_and_stamps_of_an_echoed_topic_are_proposed(tmp_path: Path) -> None:
+    """`rostopic echo -p`: name0 says what position0 is of, and the stamp is the time, not the sequence number."""
+    stamp, angle = 1_700_000_000_000_000_000 + 20_000_000 * np.arange(50), np.linspace(0.1, 9.3, 50)
+    head = "%time,field.header.seq,field.header.stamp,field.name0,field.name1,field.position0,field.position1\n"
+    rows = (
+        f"{t + 900},{k},{t},wheel_right_joint,wheel_left_joint,{a:.5f},{1.01 * a:.5f}\n"
+        for k, (t, a) in enumerate(zip(stamp, angle, strict=True))
+    )
+    pose = (f"{t},{k},{t},{a:.4f},0.0\n" for k, (t, a) in enumerate(zip(stamp, angle, strict=True)))
+    (tmp_path / "run1_joints.csv").write_text(head + "".join(rows))
+    head = "%time,field.header.seq,field.header.stamp,field.pose.position.x,field.pose.position.y\n"
+    (tmp_path / "run1_mocap.csv").write_text(head + "".join(pose))
+    proposed = describe([tmp_path]).to_toml()
+    assert 't_s = {column = "field.header.stamp", unit = "ns"}' in proposed
+    assert 'counts_left = {column = "joints:field.position1", unit = "rad"}' in proposed
+    assert 'counts_right = {column = "joints:field.position0", unit = "rad"}' in proposed
+
+
 def test_a_camera_and_a_truck_propose_their_reference(tmp_path: Path) -> None:
     """A unit at the end of a name is converted, proposed or not; a counted shaft is the rear axle's."""
     time, n = np.arange(200) * 0.02, np.arange(200.0)

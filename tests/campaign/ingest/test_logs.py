@@ -11,12 +11,12 @@ from calib.campaign.ingest.guesses import estimate_lag
 RECORDINGS, MOST_MISSES = 60, 8
 
 
-def _streams(rng: np.random.Generator, lag_s: float) -> tuple[np.ndarray, ...]:
+def _streams(rng: np.random.Generator, lag_s: float, end_s: float = 60.0) -> tuple[np.ndarray, ...]:
     """Wheels at 50 Hz with whole counts, poses at 31 Hz with 1 mm noise, speed changing at random."""
-    fine = np.arange(0, 62, 0.005)
-    knots = rng.uniform(0.1, 0.9, 70)
-    path = np.cumsum(np.interp(fine, np.arange(70.0), knots)) * 0.005
-    wheel_s, pose_s = np.arange(0, 60, 0.02), np.arange(0.5, 60, 1 / 31)
+    fine = np.arange(0, end_s + 2, 0.005)
+    knots = rng.uniform(0.1, 0.9, int(end_s) + 10)
+    path = np.cumsum(np.interp(fine, np.arange(float(len(knots))), knots)) * 0.005
+    wheel_s, pose_s = np.arange(0, end_s, 0.02), np.arange(0.5, end_s, 1 / 31)
     counts = np.floor(np.interp(wheel_s, fine, path) * 6500)
     poses = np.interp(pose_s - lag_s, fine, path) + 0.001 * rng.standard_normal(len(pose_s))
     return wheel_s, counts, pose_s, poses
@@ -33,6 +33,14 @@ def test_the_interval_holds_the_true_lag(lag_s: float) -> None:
     assert misses <= MOST_MISSES / 2
     # an interval that always held would say nothing
     assert np.median(widths) < 0.05
+
+
+@pytest.mark.parametrize("lag_s", [2.1, -7.3, 18.2])
+def test_clocks_that_are_seconds_apart_are_found(lag_s: float) -> None:
+    """GPS time is 18 s ahead of UTC; nothing is stated at the border of a search."""
+    lag = estimate_lag(*_streams(np.random.default_rng(1), lag_s, 100.0))
+    assert lag is not None and lag.ci95_s[1] > lag.ci95_s[0]
+    assert abs(lag.lag_s - lag_s) < 2.0 * (lag.ci95_s[1] - lag.ci95_s[0])
 
 
 def test_constant_speed_shows_no_lag() -> None:

@@ -75,6 +75,27 @@ def test_a_column_is_named_with_or_without_its_unit(name: str, tmp_path: Path) -
     np.testing.assert_allclose(made.runs.number("distance_m"), [40.1, 40.2, 40.3, 40.4])
 
 
+def test_a_constant_is_added_in_the_unit_of_the_line(tmp_path: Path) -> None:
+    """(40100 mm * 0.5 + 60 mm); 90 degrees less a compass, clockwise from north, is counter-clockwise from east."""
+    made, _ = _made(tmp_path, 'distance_m = {column = "Dist", factor = 0.5, offset = 60.0}\n')
+    np.testing.assert_allclose(made.runs.number("distance_m"), [20.11, 20.16, 20.21, 20.26])
+    log = tmp_path / "a.csv"
+    log.write_text("t_s,counts_left,counts_right,Compass\n" + "".join(f"{k},{k},{k},{80 + k}\n" for k in range(9)))
+    line = 'ref_theta_rad = {column = "Compass", unit = "deg", factor = -1, offset = 90}\n'
+    mapping = tmp_path / "log.toml"
+    mapping.write_text(f'[log]\n{line}[reference]\nframe = "map"\n')
+    headings = ingest([log], tmp_path / "logged", mapping=mapping).campaign.logs.of(0)["ref_theta_rad"]
+    np.testing.assert_allclose(headings, np.radians(10.0 - np.arange(9.0)), atol=1e-9)
+
+
+@pytest.mark.parametrize(("line", "said"), [('"Dist [bar]"', True), ('{column = "Dist [bar]", factor = 1.1}', False)])
+def test_a_unit_that_a_column_cannot_have_is_said(line: str, said: bool, tmp_path: Path) -> None:
+    source = tmp_path / "bar.csv"
+    source.write_text("Run,Dist [bar]\n1,4.1\n2,4.2\n")
+    _, notes = _made(tmp_path, f"distance_m = {line}\n", source)
+    assert any("[bar] is no unit of distance_m" in note for note in notes) == said
+
+
 def test_values_are_looked_up_on_another_sheet_and_weighed(tmp_path: Path) -> None:
     """Labels in any case and spacing; tonnes become kg, and a load in kg its weight."""
     lines = 'payload_kg = {column = "Mass", sheet = "Payloads", by = "Label"}\n'
