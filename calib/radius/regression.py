@@ -351,11 +351,11 @@ def paired_law(left: WheelFit, right: WheelFit, groups: Groups) -> RadiusLaw:
     fit of their own gives them.
     """
     wheels, estimates = (left, right), (left.estimate, right.estimate)
-    weight = np.sqrt(groups.weights)
-    means = [groups.means(wheel.residual_m) for wheel in wheels]
-    by_session = all(estimate.dof_between > 0.0 for estimate in estimates)
-    residuals = [groups.within(wheel.residual_m) if by_session else wheel.residual_m for wheel in wheels]
-    of_runs, of_sessions = _cosine(*residuals), _cosine(*(weight * part for part in means)) if by_session else 0.0
+    residuals, of_sessions = [wheel.residual_m for wheel in wheels], 0.0
+    if all(estimate.dof_between > 0.0 for estimate in estimates):
+        of_sessions = _cosine(*(np.sqrt(groups.weights) * groups.means(residual) for residual in residuals))
+        residuals = [groups.within(residual) for residual in residuals]
+    of_runs = _cosine(*residuals)
     of_loads = _cosine(*(wheel.load_N - wheel.load_N.mean() for wheel in wheels))
     block = of_runs * _if_fully_correlated(estimates[0].cov_within, estimates[1].cov_within, of_loads)
     block += of_sessions * _if_fully_correlated(estimates[0].cov_between, estimates[1].cov_between, of_loads)
