@@ -88,13 +88,8 @@ def pose_errors(true: Poses, reference: Poses) -> PoseErrors:
     """Return true minus reference, pose by pose; shapes broadcast."""
     dx, dy = true.x_m - reference.x_m, true.y_m - reference.y_m
     cosine, sine = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
-    return PoseErrors(
-        along_m=np.asarray(cosine * dx + sine * dy),
-        lateral_m=np.asarray(cosine * dy - sine * dx),
-        heading_rad=wrapped(true.theta_rad - reference.theta_rad),
-        global_x_m=np.asarray(dx),
-        global_y_m=np.asarray(dy),
-    )
+    along, lateral = np.asarray(cosine * dx + sine * dy), np.asarray(cosine * dy - sine * dx)
+    return PoseErrors(along, lateral, wrapped(true.theta_rad - reference.theta_rad), np.asarray(dx), np.asarray(dy))
 
 
 def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) -> FloatArray:

@@ -319,13 +319,10 @@ def simulate(
         figure: run_sweep(name, chosen or (Case.given(1.0, 1.0),), track_m=track_m, real_track_m=real_track_m)
         for figure, name in zip(figures, names, strict=True)
     }
-    return Simulation(
-        study=study,
-        title=known.title if known else "Radii as given",
-        sweeps=sweeps,
-        headlines=headlines(next(iter(sweeps.values())).route, track_m) if study == "corrected" and not cases else (),
-        law=None if under is None else _law_part(study, find_route(names[-1]), under, rng),
-    )
+    first, title = next(iter(sweeps.values())).route, known.title if known else "Radii as given"
+    lines = headlines(first, track_m) if study == "corrected" and not cases else ()
+    law = None if under is None else _law_part(study, find_route(names[-1]), under, rng)
+    return Simulation(study, title, sweeps, lines, law)
 
 
 def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Generator) -> LawPart:

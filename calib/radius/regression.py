@@ -124,33 +124,25 @@ class WheelFit:
         the standard deviation of a single run in a session of its own.
         """
         radius, slope = self.estimate.coefficients.tolist()
-        return WheelLaw(
-            reference_load_N=self.reference_load_N,
-            radius_ref_m=radius,
-            slope_m_per_N=slope,
-            covariance=self.estimate.covariance,
-            dof=min(self._dof) if self.model == "line" else self.dof_radius_ref,
-            residual_std_m=float(np.sqrt(self.estimate.run_variance + self.estimate.session_variance)),
-            load_min_N=float(self.load_N.min()),
-            load_max_N=float(self.load_N.max()),
-            n_runs=len(self.load_N),
-            strata=self.estimate,
-        )
+        dof = float(self._dof.min()) if self.model == "line" else self.dof_radius_ref
+        std = float(np.sqrt(self.estimate.run_variance + self.estimate.session_variance))
+        loads = float(self.load_N.min()), float(self.load_N.max())
+        line = self.reference_load_N, radius, slope
+        return WheelLaw(*line, self.estimate.covariance, dof, std, *loads, len(self.load_N), self.estimate)
 
     @cached_property
-    def _dof(self) -> list[float]:
-        dof: list[float] = self.estimate.dof(np.eye(2)).tolist()
-        return dof
+    def _dof(self) -> FloatArray:
+        return self.estimate.dof(np.eye(2))
 
     @property
     def dof_radius_ref(self) -> float:
         """Degrees of freedom of the radius at the reference load."""
-        return self._dof[0]
+        return float(self._dof[0])
 
     @property
     def dof_slope(self) -> float:
         """Degrees of freedom of the slope; 0 for a constant."""
-        return self._dof[1] if self.model == "line" else 0.0
+        return float(self._dof[1]) if self.model == "line" else 0.0
 
     @property
     def intercept_m(self) -> float:
