@@ -2,6 +2,7 @@
 
 import json
 import os
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -12,12 +13,22 @@ import numpy as np
 from pydantic import Field, TypeAdapter, ValidationError
 
 from calib.campaign import write_campaign
+from calib.campaign.model import Campaign
+from calib.campaign.read import read_campaign
 from calib.campaign.settings_file import load_toml
 from calib.challenge.cases import UNSIGNED, Recipe, Truth, campaigns_of, truth_of
-from calib.documents import plain, to_json
-from calib.errors import CASES, BadFileError, RefusedError, refuse_beyond, refuse_workers
+from calib.documents import plain
+from calib.errors import CASES, BadFileError, CalibError, RefusedError, refuse_beyond, refuse_workers
 from calib.fleet.workers import engine
-from calib.io import refuse_existing, sha256_file, write_text
+from calib.gap.decision.diagnosis import Diagnosis
+from calib.gap.decision.held_out import end_rms_m
+from calib.gap.diagnose import diagnose_in_full
+from calib.gap.effects import forms_on
+from calib.gap.effects.library import library
+from calib.gap.inference.fit import hypothesis_path, whitened_rows
+from calib.gap.observations.from_campaign import observations_of
+from calib.gap.predict import predict, residuals
+from calib.io import inside, refuse_existing, sha256_file, write_json, write_text
 from calib.plant.design import DESIGNS
 from calib.plant.effects import ALL, forms_of
 from calib.plant.signal import CALIBRATION
@@ -221,14 +232,14 @@ def make(
     truths = each(draw, wanted, workers, lambda done: progress(done, len(wanted), "truths"))
     sealed_cases = {truth.recipe.case: plain(truth) for truth in truths}
     content = {"format": TRUTH_FORMAT, "purpose": seeds.purpose, "cases": sealed_cases}
-    write_text(truth_file, to_json(content), force=force)
+    write_json(truth_file, content, force=force)
     digest = sha256_file(truth_file)
     write_text(folder / HASH, f"{digest}  {truth_file.name}\n", force=True)
     sealed(digest)
     each(partial(_write_one, folder), truths, workers, lambda done: progress(done, len(wanted), "campaigns"))
     cases = {recipe.case: {"exclude": [recipe.deleted] if recipe.deleted else []} for recipe in wanted}
     public = {"format": _PUBLIC_FORMAT, "purpose": seeds.purpose, "truth_sha256": digest, "cases": cases}
-    write_text(folder / PUBLIC, to_json(public), force=True)
+    write_json(folder / PUBLIC, public, force=True)
     return Sealed(folder, truth_file, digest, len(truths))
 
 
@@ -246,3 +257,98 @@ def read_public(folder: Path) -> Mapping[str, Any]:
         actual = f"another format ({data.get('format') if isinstance(data, dict) else type(data).__name__})"
         raise BadFileError(path, actual, _PUBLIC_FORMAT, "make the set again with this version")
     return data
+
+
+Achieved = dict[str, float | None]
+
+
+def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...]) -> Achieved | None:
+    """Return the gap of a fresh campaign under the model alone and under the fix, not refitted.
+
+    ``before_rms_m``, ``after_rms_m`` are of the end position (else of the distance), those ``over_floor`` of all
+    channels over their noise, ``fraction`` of whitened squares. None where the verdict names no cause, or a form of its
+    causes cannot be had there.
+    """
+    if not diagnosis.causes:
+        return None
+    observations = observations_of(fresh)
+    effects = {e.id: e for e in library(observations, exclude=exclude, declared=fresh.extra.get("effects", ()))}
+    forms = [form for form in forms_on(observations, effects, diagnosis.correction.forms) if form is not None]
+    if len(forms) < len(diagnosis.correction.forms) or len(observations) != len(diagnosis.observations):
+        return None
+    nominal = predict(observations)
+    fixed = hypothesis_path(observations, diagnosis.correction.calibration, forms, diagnosis.correction.theta, nominal)
+    before, after = residuals(nominal, nominal), residuals(fixed, nominal)
+    white = whitened_rows(nominal, diagnosis.noise, np.stack([before, after], axis=2))
+    squares, floor = np.sum(white**2, axis=0), float(len(white))
+    gap = float(squares[0]) - floor
+    fraction = None if gap < 0.5 * floor else float(np.clip(1 - max(float(squares[1]) - floor, 0.0) / gap, -1.0, 1.0))
+    norms = np.sqrt(squares / max(floor, 1.0))
+    return {
+        "before_rms_m": end_rms_m(before, observations),
+        "after_rms_m": end_rms_m(after, observations),
+        "before_over_floor": float(norms[0]),
+        "after_over_floor": float(norms[1]),
+        "fraction": fraction,
+    }
+
+
+#: campaign, seed, effects to exclude, fresh campaign -> verdict, what its fix achieves there
+Diagnoser = Callable[[Campaign, int, tuple[str, ...], Campaign | None], tuple[Mapping[str, Any], Achieved | None]]
+
+
+@dataclass(frozen=True, slots=True)
+class Ran:
+    """Cases diagnosed now, before, and failed."""
+
+    done: int
+    skipped: int
+    failed: int
+
+
+def _diagnose_and_try(
+    campaign: Campaign, seed: int, exclude: tuple[str, ...], fresh: Campaign | None
+) -> tuple[Mapping[str, Any], Achieved | None]:
+    diagnosis = diagnose_in_full(campaign, seed=seed, exclude=exclude)
+    return diagnosis.to_dict(), None if fresh is None else achieved(diagnosis, fresh, exclude)
+
+
+def _run_case(folder: Path, seed: int, diagnoser: Diagnoser, waiting: tuple[str, tuple[str, ...]]) -> bool:
+    case, exclude = waiting
+    place = inside(folder, f"cases/{case}", named_in=folder / PUBLIC, column=case)
+    again = folder / "fresh" / case
+    started = time.perf_counter()
+    try:
+        campaign = read_campaign(place)
+        verdict, gained = diagnoser(campaign, seed, exclude, read_campaign(again) if again.is_dir() else None)
+        extra = {"seconds": round(time.perf_counter() - started, 3), "achieved": gained}
+    except Exception as error:
+        what = "refused" if isinstance(error, CalibError) else type(error).__name__
+        verdict = {"verdict": "error", "error": f"{what}: {error}"}
+        extra = {"seconds": None, "achieved": None}
+    write_json(folder / "verdicts" / f"{case}.json", {**verdict, "challenge": extra}, force=True)
+    return extra["seconds"] is not None
+
+
+def run(
+    folder: Path,
+    *,
+    workers: int = 2,
+    seed: int = 0,
+    limit: int | None = None,
+    diagnoser: Diagnoser | None = None,
+    progress: Progress = silent,
+) -> Ran:
+    """Diagnose the first `limit` cases of a set that have no verdict yet; see `make`.
+
+    A `diagnoser` runs in this process.
+    """
+    cases = list(read_public(folder)["cases"].items())[:limit]
+    made = folder / "verdicts"
+    waiting = [(case, tuple(entry["exclude"])) for case, entry in cases if not (made / f"{case}.json").exists()]
+    skipped = len(cases) - len(waiting)
+    progress(skipped, len(cases), "cases")
+    work = partial(_run_case, folder, seed, diagnoser or _diagnose_and_try)
+    alone = diagnoser is not None or not waiting
+    fine = each(work, waiting, 1 if alone else workers, lambda done: progress(skipped + done, len(cases), "cases"))
+    return Ran(done=len(fine), skipped=skipped, failed=fine.count(False))

@@ -118,9 +118,12 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     in_library = recipe.group != "outside" and not recipe.deleted
     first = bool(named) and named[0] in effects if effects else not named and word == "no_gap"
     in_group = all(grouped_with(effect, named, groups) for effect in effects) and (bool(effects) or first)
-    strong = tuple(grouped_with(effect, named, groups) for effect in _strong(truth))
+    signals = zip(truth.causes, truth.signals, truth.beside, strict=True) if crowded else ()
+    large = (c.effect for c, alone, beside in signals if min(alone or 0.0, beside or 0.0) >= NAMED_FROM_SIGNAL)
+    strong = tuple(grouped_with(name, named, groups) for name in large if not name.startswith("outside:"))
     sets = [set(credible) for credible in answer.get("credible_sets", [])]
     false_causes = [cause for cause in named if cause not in near and not grouped_with(cause, effects, groups)]
+    stated = [c for c in causes if c.get("probability") is not None and recipe.group != "alias"]
     recommended = bool(answer.get("recommended", False))
     extra = answer.get("challenge") or {}
     achieved = extra.get("achieved") or {}
@@ -152,7 +155,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
         recommended=recommended,
         wrong_fix=recommended and bool(false_causes or not effects),
         harmful=bool(after > before) if recommended and before is not None and after is not None else None,
-        statements=() if recipe.group == "alias" else _stated(causes, effects),
+        statements=tuple((float(cause["probability"]), str(cause.get("effect", "")) in effects) for cause in stated),
         intervals=tuple(compare(truth, answer)),
         predicted=(answer.get("closure") or {}).get("fraction"),
         achieved=achieved.get("fraction"),
@@ -165,11 +168,6 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     )
 
 
-def _stated(causes: Sequence[Mapping[str, Any]], effects: tuple[str, ...]) -> tuple[tuple[float, bool], ...]:
-    stated = [cause for cause in causes if cause.get("probability") is not None]
-    return tuple((float(cause["probability"]), str(cause.get("effect", "")) in effects) for cause in stated)
-
-
 def _family(effect: str) -> str:
     return REGISTRY[effect].family.value if effect in REGISTRY else effect
 
@@ -180,16 +178,6 @@ def groups_of(answer: Mapping[str, Any], causes: Sequence[Mapping[str, Any]]) ->
     alike = answer.get("indistinguishable", [])
     groups = [set(group).union(*(open_forms.get(name, set()) for name in group)) for group in alike]
     return groups + [{name, *others} for name, others in open_forms.items()]
-
-
-def _strong(truth: Truth) -> list[str]:
-    if truth.recipe.group != "crowded":
-        return []
-    return [
-        cause.effect
-        for cause, signal, beside in zip(truth.causes, truth.signals, truth.beside, strict=True)
-        if not cause.effect.startswith("outside:") and min(signal or 0.0, beside or 0.0) >= NAMED_FROM_SIGNAL
-    ]
 
 
 def grouped_with(effect: str, named: Sequence[str], groups: Sequence[set[str]]) -> bool:
@@ -224,14 +212,8 @@ def answer_of(effect: str, family: str, verdict: Mapping[str, Any]) -> Answer:
     families = {str(cause.get("family", "")) for cause in causes[:1]} - set(UNRELATED_FAMILIES)
     together = family in families or grouped_with(effect, named, groups_of(verdict, causes))
     named_wrongly = bool(named) and word not in NAMES_NOTHING and not together
-    return Answer(
-        verdict=word,
-        seen=word not in NO_GAP_SEEN,
-        first=named[:1] == [effect],
-        in_group=together,
-        open=word in LEFT_OPEN,
-        wrong=named_wrongly if effect else bool(verdict.get("recommended", False)),
-    )
+    wrong = named_wrongly if effect else bool(verdict.get("recommended", False))
+    return Answer(word, word not in NO_GAP_SEEN, named[:1] == [effect], together, word in LEFT_OPEN, wrong)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -113,15 +113,14 @@ def _design(observations: Observations) -> Design:
 
     def number(name: str) -> FloatArray:
         values = observations.number(name)
-        known = values[np.isfinite(values)]
-        return np.where(np.isfinite(values), values, known.mean() if len(known) else 0.0)
+        known = np.isfinite(values)
+        return np.where(known, values, values[known].mean() if known.any() else 0.0)
 
     straight = observations.total(np.abs(observations.turn_rad)) < MAX_STRAIGHT_TURN_RAD
     names = np.array([f"{'corridor' if s else 'route'}_{k}" for s, k in zip(straight, observations.kind, strict=True)])
     speed = number("speed_mps")
     if not speed.any():
-        elapsed = observations.total(observations.duration_s)
-        way = observations.total(np.abs(observations.path_m))
+        elapsed, way = (observations.total(part) for part in (observations.duration_s, np.abs(observations.path_m)))
         speed = np.divide(way, elapsed, out=np.zeros_like(way), where=elapsed > 0)
     unstated: dict[str, Any] = {name: np.nan_to_num(observations.number(name)) for name in ZERO_WHERE_UNKNOWN}
     return Design(

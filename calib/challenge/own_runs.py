@@ -100,8 +100,7 @@ def plants_of(
 def _candidates(
     diagnosis: Diagnosis, replay: Replay, rng: np.random.Generator
 ) -> tuple[list[_Candidate], dict[str, str]]:
-    candidates: list[_Candidate] = []
-    left_out: dict[str, str] = {}
+    candidates, left_out = list[_Candidate](), dict[str, str]()
     for effect in diagnosis.arrays.effects.values():
         if effect.id in NOT_PLANTED:
             left_out[effect.id] = NOT_PLANTED[effect.id]
@@ -120,9 +119,8 @@ def _candidates(
             forms = forms_of(effect.id)
             form = next((form for form in forms if form.form not in ("plain", "constant")), forms[0])
             knobs = form.knobs(np.random.default_rng([int(rng.integers(2**31)), 0]), replay.design)
-            act = partial(_planted, form, knobs)
             known = (form.typical, form.form, form.unit, effect.family.value)
-            candidates.append(_Candidate(effect.id, act, *known))
+            candidates.append(_Candidate(effect.id, partial(_planted, form, knobs), *known))
     for name, outsider in outsiders(replay, rng).items():
         if isinstance(outsider, str):
             left_out[name] = outsider
@@ -187,9 +185,8 @@ def _sized(
         moved = np.hypot(*changes[0][:, 1:3].T) / np.maximum(replay.observations.length_m, 1e-3)
         if (moved > LARGEST_SHARE).any() or (np.abs(changes[0][:, 3]) > LARGEST_RAD).any():
             continue
-        reached = _signal(diagnosis, changes[0], free)
         known = (candidate.effect, candidate.form, candidate.outside, candidate.family)
-        plants.append(Plant(*known, value, candidate.unit, reached, changes))
+        plants.append(Plant(*known, value, candidate.unit, _signal(diagnosis, changes[0], free), changes))
     return plants, "" if plants else "a size that shows would have to be out of all proportion"
 
 
@@ -304,8 +301,7 @@ def challenge_own(
     plants, left_out = plants_of(diagnosis, Replay.of(observations), effects, sizes, np.random.default_rng(seed))
     jobs: list[_Job] = []
     for turn in range(planted):
-        jobs += [(None, turn * EMPTY_EACH + number) for number in range(EMPTY_EACH)]
-        jobs += [(plant, turn) for plant in plants]
+        jobs += [*((None, turn * EMPTY_EACH + number) for number in range(EMPTY_EACH)), *((p, turn) for p in plants)]
     progress(0, len(jobs), "diagnoses")
     # without logs, which the observations hold, a campaign is quick to hand over
     light = replace(campaign.included(), logs=Logs.empty(len(campaign.included().runs)))
@@ -315,21 +311,11 @@ def challenge_own(
     work = partial(_diagnosed, light, observations, readings, noise, seed, began + seconds)
     answers = each(work, jobs, workers, lambda done: progress(done, len(jobs), "diagnoses"))
     by_plant = grouped((plant, answer) for (plant, _), answer in zip(jobs, answers, strict=True) if answer is not None)
-    return Own(
-        campaign=campaign.name,
-        simulated=campaign.simulated,
-        own_verdict=diagnosis.kind.value,
-        runs=len(light.runs),
-        units=len(observations),
-        units_with_repeats=int(noise.repeated.sum()),
-        found=tuple(replace(plant, answers=tuple(by_plant.get(plant, ()))) for plant in plants),
-        empty=tuple(by_plant.get(None, ())),
-        left_out=left_out,
-        asked=len(jobs),
-        done=sum(answer is not None for answer in answers),
-        seed=seed,
-        seconds=time.monotonic() - began,
-    )
+    found = tuple(replace(plant, answers=tuple(by_plant.get(plant, ()))) for plant in plants)
+    counted = len(light.runs), len(observations), int(noise.repeated.sum())
+    told = *counted, found, tuple(by_plant.get(None, ())), left_out
+    done, took_s = sum(answer is not None for answer in answers), time.monotonic() - began
+    return Own(campaign.name, campaign.simulated, diagnosis.kind.value, *told, len(jobs), done, seed, took_s)
 
 
 def _diagnosed(
@@ -349,19 +335,15 @@ def _diagnosed(
         readings, key = readings + plant.changes[turn % len(plant.changes)], plant.key
         effect, family = ("", "") if plant.outside else (plant.effect, plant.family)
     drawn = noise.draw(np.random.default_rng([abs(seed), key, turn]))
-    observed = _observed(observations, readings, drawn)
-    try:
-        verdict = diagnose_in_full(campaign, seed=turn, plan=False, observations=observed)
-    except RefusedError:
-        return answer_of(effect, family, {"verdict": "undecided"})
-    return answer_of(effect, family, verdict.to_dict())
-
-
-def _observed(observations: Observations, readings: FloatArray, drawn: FloatArray) -> Observations:
     measured = readings + drawn
     # along and lateral are noise in the frame of the heading that is measured
     heading = np.where(observations.usable[:, 3], measured[:, 3], readings[:, 3])
     cos, sin = np.cos(heading), np.sin(heading)
     measured[:, 1] = readings[:, 1] + cos * drawn[:, 1] - sin * drawn[:, 2]
     measured[:, 2] = readings[:, 2] + sin * drawn[:, 1] + cos * drawn[:, 2]
-    return replace(observations, measured=np.where(observations.usable, measured, np.nan))
+    observed = replace(observations, measured=np.where(observations.usable, measured, np.nan))
+    try:
+        verdict = diagnose_in_full(campaign, seed=turn, plan=False, observations=observed)
+    except RefusedError:
+        return answer_of(effect, family, {"verdict": "undecided"})
+    return answer_of(effect, family, verdict.to_dict())

@@ -275,7 +275,7 @@ def run(folder: Folder, cases: Cases = None, workers: cli.Workers = 2, seed: cli
 
     Example: calib challenge run blind
     """
-    from calib.challenge.run import run as run_set
+    from calib.challenge import run as run_set
 
     cli.keep(f"the verdicts so far, in {folder}; the same command goes on")
     with cli.progress("diagnosing") as tick:

@@ -8,6 +8,7 @@ from itertools import chain, islice
 from typing import Final
 
 import numpy as np
+from scipy.special import chdtri, fdtri
 
 from calib.campaign.model import Campaign
 from calib.kinematics.blunders import Fault
@@ -228,8 +229,6 @@ def judged(
 def _harmed(
     run_id: StrArray, before: FloatArray, after: FloatArray, way_m: FloatArray, scatter_m: float, dof: int
 ) -> Iterator[str]:
-    from scipy.special import fdtri
-
     near, left = (np.hypot(*part[:, :2].T) for part in (before, after))
     worse = np.where(left > SMALL_SHARE * way_m, left**2 - near**2, 0.0)
     worst = int(np.argmax(worse))
@@ -253,8 +252,6 @@ def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
 
 def bad_windows(fitted: Fitted, whole: Model) -> BoolArray:
     """Return the windows that noise cannot explain, where they are few: single poses of a tracker are off."""
-    from scipy.special import chdtri
-
     longest = fitted.model.segments.level == 0
     if whole.segments.are_runs_of(whole.recording) or longest.sum() != len(whole.segments):
         return np.zeros(len(whole.segments), dtype=np.bool_)
@@ -346,19 +343,6 @@ LENGTHS_ALONE: Final = (
 )
 
 
-def _copied(fitted: Fitted, whole: Model, position: Residuals) -> bool:
-    share_m = COPIED_SHARE * position.travelled
-    # a taped length or two agree by chance
-    if whole.segments.seen[:, 0].sum() < FEWEST_CLUSTERS or not 0.0 < position.before < max(
-        share_m, COPIED_COUNTS * FINE_M
-    ):
-        return False
-    rolled_rad = np.abs(whole.recording.steps.turned_rad)
-    radius_m = max(row.nominal for row in fitted.parameters.items if "radius" in row.name)
-    count_m = radius_m * float(rolled_rad[rolled_rad > 0.0].min(initial=np.inf))
-    return position.before < max(share_m, COPIED_COUNTS * min(count_m, FINE_M))
-
-
 def _further(
     fitted: Fitted, whole: Model, outliers: Sequence[str], large: BoolArray, position: Residuals, heading: Residuals
 ) -> Iterator[str]:
@@ -378,8 +362,12 @@ def _further(
             f"{few_digits(1e3 * rolled)} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), "
             "or the reference's positions are wrong"
         )
-    if _copied(fitted, whole, position):
-        # no instrument agrees that well
+    rolled_rad = np.abs(whole.recording.steps.turned_rad)
+    radius_m = max(row.nominal for row in fitted.parameters.items if "radius" in row.name)
+    count_m = min(radius_m * float(rolled_rad[rolled_rad > 0.0].min(initial=np.inf)), FINE_M)
+    near = 0.0 < position.before < max(COPIED_SHARE * position.travelled, COPIED_COUNTS * count_m)
+    # a taped length or two agree by chance, and no instrument that well
+    if near and whole.segments.seen[:, 0].sum() >= FEWEST_CLUSTERS:
         yield (
             f"position: the reference agrees with the nominal odometry within {few_digits(1e6 * position.before)} um: "
             "it was computed from the counts; give poses of an instrument of its own"

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import chdtri
 
 from calib.campaign.check import swapped_sessions
 from calib.campaign.checks.counts import interrupted_counts
@@ -28,7 +29,7 @@ from calib.kinematics.noise import noise_sizes
 from calib.kinematics.readings import factor_faults
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, RunTrace, Umbmark
 from calib.kinematics.solve import COMPONENTS, Solution
-from calib.kinematics.uncertainty import ENOUGH_RUNS, FEWEST_CLUSTERS
+from calib.kinematics.uncertainty import ENOUGH_RUNS, FEWEST_CLUSTERS, Freedom
 from calib.types import BoolArray, FloatArray, IntArray, in_frame
 
 
@@ -39,11 +40,9 @@ def _route_table(
     if (kind == "").all():
         turn = segments.measured[:, 2]
         kind = np.where(turn > 1.0, "turns left", np.where(turn < -1.0, "turns right", "hardly turns"))
-    parts = {str(name): (before[kind == name], after[kind == name]) for name in np.unique(kind)}
-    return tuple(
-        RouteResidual(name, len(new), Channels.rms(old), Channels.rms(new), Channels.mean(new))
-        for name, (old, new) in parts.items()
-    )
+    parts = ((str(name), before[kind == name], after[kind == name]) for name in np.unique(kind))
+    rows = ((name, len(new), Channels.rms(old), Channels.rms(new), Channels.mean(new)) for name, old, new in parts)
+    return tuple(RouteResidual(*row) for row in rows)
 
 
 def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
@@ -68,7 +67,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     """Return the result of a fit; see `calib.kinematics.estimate.estimate_geometry`."""
     parameters, solution, model = fitted.parameters, fitted.solution, fitted.model
     nominal, values = parameters.nominal, solution.values
-    estimates, covariance = _estimates(fitted)
+    estimates, covariance, freedom = _estimates(fitted)
     stated = {estimate.name for estimate in estimates}
     ratios = {e.name: e.value / e.nominal for e in estimates if e.nominal}
     faults = (*faults, *factor_faults(ratios, campaign.vehicle.drive, model.recording.speeds))
@@ -76,12 +75,10 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         faults = (*faults, *still_counters(model.recording, model.motion(values).body[2]))
     by_load = any(name.startswith("slope") for name in stated)
     of_loads = [note for note in implausible_loads(campaign) if note.level == "wrong"] if by_load else []
-    shown = (
-        ("counts_lost", interrupted_counts(campaign)),
-        ("loads_implausible", of_loads),
-        ("swapped_wheels", swapped_sessions(campaign)),
-    )
-    faults = (*faults, *(Fault(code, note.sentence.rstrip("."), seen=True) for code, notes in shown for note in notes))
+    shown = {"counts_lost": interrupted_counts(campaign), "loads_implausible": of_loads}
+    shown["swapped_wheels"] = swapped_sessions(campaign)
+    told = ((code, note.sentence.rstrip(".")) for code, notes in shown.items() for note in notes)
+    faults = (*faults, *(Fault(*each, seen=True) for each in told))
     whole = _whole(model)
     before, after = replace(whole, recording=fitted.logged).predict(nominal), whole.predict(values)
     left = np.where(seen := whole.segments.seen, after.residuals, np.nan)
@@ -107,7 +104,7 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
         n_segments=len(model.segments),
         estimates=estimates,
         covariance=covariance,
-        freedom=fitted.uncertainty.freedom and fitted.uncertainty.freedom.select(_kept(fitted)),
+        freedom=freedom,
         undetermined=fitted.undetermined,
         held={name: float(value) for name, value in zip(parameters.names, values, strict=True) if name not in stated},
         clusters=(fitted.uncertainty.by, fitted.uncertainty.clusters),
@@ -125,17 +122,15 @@ def geometry_of(campaign: Campaign, fitted: Fitted, source: str, using: str, fau
     )
 
 
-def _kept(fitted: Fitted) -> IntArray:
-    return np.flatnonzero(~np.isin(fitted.parameters.free_names, fitted.undetermined))
-
-
-def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray]:
-    parameters, uncertainty, kept = fitted.parameters, fitted.uncertainty, _kept(fitted)
+def _estimates(fitted: Fitted) -> tuple[tuple[Estimate, ...], FloatArray, Freedom | None]:
+    parameters, uncertainty = fitted.parameters, fitted.uncertainty
+    kept = np.flatnonzero(~np.isin(parameters.free_names, fitted.undetermined))
     index = np.flatnonzero(parameters.free)[kept]
     sizes = parameters.nominal[index], fitted.solution.values[index], uncertainty.std[kept]
     columns = (part.tolist() for part in (*sizes, uncertainty.free[kept]))
     names = [parameters.names[at] for at in index]
-    return tuple(map(Estimate.of, names, *columns)), uncertainty.covariance[np.ix_(kept, kept)]
+    freedom = uncertainty.freedom and uncertainty.freedom.select(kept)
+    return tuple(map(Estimate.of, names, *columns)), uncertainty.covariance[np.ix_(kept, kept)], freedom
 
 
 def _whole(model: Model) -> Model:
@@ -146,8 +141,6 @@ def _whole(model: Model) -> Model:
 
 
 def _outliers(model: Model, solution: Solution) -> tuple[str, ...]:
-    from scipy.special import chdtri
-
     size = np.maximum(model.segments.seen.sum(axis=1), 1)
     runs = np.unique(model.segments.run)
     beyond = solution.squares > chdtri(size, OUTLIER_CHANCE / len(runs))

@@ -6,6 +6,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 from calib.campaign.wheels import SLOWEST_RADPS, STEERED
 from calib.errors import RefusedError
@@ -14,7 +15,7 @@ from calib.types import FloatArray, IntArray
 if TYPE_CHECKING:
     from calib.kinematics import Recording
     from calib.kinematics.drives import Drive
-    from calib.kinematics.model import Model, Segments
+    from calib.kinematics.model import Segments
 
 #: relative distance of a ratio from its factor
 NEAR: Final = 0.08
@@ -107,8 +108,6 @@ def sense(segments: "Segments", turn_rad: FloatArray, rolled: FloatArray, far: f
 
 
 def _regression(turned: FloatArray, heading: FloatArray, tested: slice = slice(None)) -> FloatArray | None:
-    from scipy.special import ndtr, stdtrit
-
     normal, dof = turned @ turned.T, len(heading) - len(turned)
     if dof < 2 or np.linalg.cond(normal) > 1e10:
         return None
@@ -235,10 +234,8 @@ def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
     ratio, left_rad = abs(slope), measured_rad - slope * told_rad
     if float(left_rad @ left_rad) > CLEARLY_LESS * float(measured_rad @ measured_rad):
         return
-    for factor, what in {
-        np.pi / 180.0: "radians taken for degrees",
-        180.0 / np.pi: "degrees taken for radians",
-    }.items():
+    units = {np.pi / 180.0: "radians taken for degrees", 180.0 / np.pi: "degrees taken for radians"}
+    for factor, what in units.items():
         if abs(ratio / factor - 1.0) < 2.0 * NEAR:
             text = f"ref_theta_rad: found turns that are {ratio:.3g} times those of the wheels; expected about as much"
             raise RefusedError(f"{text}; the heading's unit is wrong ({what}): correct it in the mapping or the log")
@@ -267,8 +264,7 @@ def corrected(recording: "Recording", segments: "Segments", source: str, drive: 
     # with a heading of another unit any reading of the wheels that hardly turns would look best
     seen = segments.seen[:, 2]
     measured = segments.measured[seen, 2]
-    model, values = _nominal(recording, segments, drive)
-    refuse_heading_unit(measured - model.predict(values).residuals[seen, 2], measured)
+    refuse_heading_unit(measured - _nominal_residuals(recording, segments, drive)[seen, 2], measured)
     if faults is not None:
         return recording, faults
     return wheels_faults(recording, segments, drive) if source == "wheels" else rear_faults(recording, segments)
@@ -280,9 +276,11 @@ def still_counters(recording: "Recording", told_rad: FloatArray) -> Iterator[Fau
     `told_rad` (shape (n_samples,)): turn in each step by wheels of fitted lengths: other units are no still wheel.
     """
     names = recording.speeds or ("counts_left", "counts_right")
-    spikes_of = [_spiked(recording, side) for side in (0, 1)]
+    step, after = recording.steps.turned_rad[:2, :-1], recording.steps.turned_rad[:2, 1:]
+    spikes = (np.abs(step + after) < SPIKE_LEFT * np.abs(step)) & (np.abs(step) > 2.0 * np.pi)
+    spikes_of = [np.flatnonzero(of_side) for of_side in spikes]
     for side, name in enumerate(names if TWIST not in recording.speeds else ()):
-        if spiked := spikes_of[side]:
+        if len(spiked := spikes_of[side]):
             runs = sorted(set(recording.run_id[recording.run[spiked]]))
             text = f"{name}: {len(spiked)} sample(s) jump by more than a revolution and back, in {', '.join(runs)}"
             yield Fault("count_spike", f"{text}; remove these samples", seen=True)
@@ -294,8 +292,9 @@ def still_counters(recording: "Recording", told_rad: FloatArray) -> Iterator[Fau
             longest = int(np.argmax(np.diff(rolled[1 - side, moved])))
             begin, end = int(moved[longest]), int(moved[longest + 1])
             known = np.flatnonzero(np.isfinite(heading[begin : end + 1])) + begin
-            spikes = any(begin <= at - first <= end for at in spikes_of[1 - side])
-            if spikes or not len(known) or np.ptp(rolled[1 - side, known]) < 2.0 * np.pi:
+            spiked = spikes_of[1 - side] - first
+            jumps = bool(((begin <= spiked) & (spiked <= end)).any())
+            if jumps or not len(known) or np.ptp(rolled[1 - side, known]) < 2.0 * np.pi:
                 continue
             begin, end = int(known[0]), int(known[-1])
             turn, seen = told_rad[part][begin + 1 : end + 1].sum(), heading[end] - heading[begin]
@@ -320,26 +319,16 @@ def times_fault(recording: "Recording") -> Fault | None:
     return Fault("time_unit", f"{text}; convert, or state the unit in the mapping", seen=True)
 
 
-def _spiked(recording: "Recording", side: int) -> list[int]:
-    step = recording.steps.turned_rad[side]
-    back = np.abs(step[:-1] + step[1:]) < SPIKE_LEFT * np.abs(step[:-1])
-    return [int(at) for at in np.flatnonzero(back & (np.abs(step[:-1]) > 2.0 * np.pi))]
-
-
 def wheels_faults(recording: "Recording", segments: "Segments", drive: "Drive") -> Corrected:
     """Return the recording with the wheels' signs and sides corrected, and what was wrong.
 
     `drive`: its nominal values tell which reading of the four columns fits the reference.
     """
-
-    def left_by(recording: "Recording") -> tuple[float, float]:
-        return _left(*_nominal(recording, segments, drive))
-
-    turned, as_it_stands = recording.steps.turned_rad, left_by(recording)[0]
+    turned, as_it_stands = recording.steps.turned_rad, _left(recording, segments, drive)[0]
     if as_it_stands < POOR:
         return recording, ()
     read = ((recording.with_turned(turned[order] * signs[:, None]), fault) for fault, order, signs in _readings())
-    scored = [(left_by(changed), changed, fault) for changed, fault in read]
+    scored = [(_left(changed, segments, drive), changed, fault) for changed, fault in read]
     least = min(left for (left, _), *_ in scored)
     if least > CLEARLY_LESS * as_it_stands:
         return recording, ()
@@ -364,16 +353,16 @@ def _readings() -> Iterator[tuple[Fault, list[int], FloatArray]]:
         yield Fault("swapped_wheels", f"wheels are exchanged; exchange {names}"), order, plain
 
 
-def _nominal(recording: "Recording", segments: "Segments", drive: "Drive") -> "tuple[Model, FloatArray]":
+def _nominal_residuals(recording: "Recording", segments: "Segments", drive: "Drive") -> FloatArray:
     from calib.kinematics.drives import nominal_values
     from calib.kinematics.model import Model
 
-    return Model(drive, recording, segments), nominal_values(drive)
+    return Model(drive, recording, segments).residuals(nominal_values(drive))
 
 
-def _left(model: "Model", values: FloatArray) -> tuple[float, float]:
-    seen = model.segments.seen.all(axis=1)
-    measured, residuals = model.segments.measured[seen], model.residuals(values)[seen]
+def _left(recording: "Recording", segments: "Segments", drive: "Drive") -> tuple[float, float]:
+    seen = segments.seen.all(axis=1)
+    measured, residuals = segments.measured[seen], _nominal_residuals(recording, segments, drive)[seen]
     if not len(measured):
         return 0.0, 0.0
     way, missed = (part[:, 0] + 1j * part[:, 1] for part in (measured, residuals))

@@ -13,8 +13,6 @@ from calib.types import BoolArray, FloatArray
 
 #: on the true turn
 GYRO_SCALE: Final = "gyro_scale"
-#: a sensor where the settings' defaults have it
-UNMOVED_SENSOR: Final = (1.0, 0.0, 0.0, 0.0, 0.0)
 #: by makers of gyros of moderate price
 GYRO_SCALE_STD: Final = 0.01
 
@@ -117,8 +115,8 @@ def first_scales(reference: Reference) -> FloatArray:
 
 
 def nominal_values(drive: "Drive") -> FloatArray:
-    """Return a drive's nominal values, then `UNMOVED_SENSOR`."""
-    return np.array([*(item.nominal for item in drive.parameters), *UNMOVED_SENSOR])
+    """Return a drive's nominal values, then those of a sensor where the settings' defaults have it."""
+    return np.array([item.nominal for item in parameters_of(drive, Reference())])
 
 
 def nominal_motion(drive: "Drive", steps: "Steps") -> FloatArray:
@@ -150,17 +148,12 @@ class Steps:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Motion of the body in each step, in its own frame, and its derivatives."""
+    """Motion of the body in each step, in its own frame."""
 
     #: forward and to the left in m, and turn in rad, shape (3, n_samples)
     body: FloatArray
-    #: makes `by_parameter`: most predictions do without
-    derivative: Callable[[], FloatArray]
-
-    @property
-    def by_parameter(self) -> FloatArray:
-        """Derivatives of `body`, shape (n_parameters, 3, n_samples)."""
-        return self.derivative()
+    #: makes its derivatives, shape (n_parameters, 3, n_samples): most predictions do without
+    by_parameter: Callable[[], FloatArray]
 
 
 def lengths_of(drive: "Drive") -> tuple[Parameter, ...]:

@@ -8,6 +8,7 @@ from itertools import compress
 from typing import Final
 
 import numpy as np
+from scipy.special import chdtrc, stdtrit
 
 from calib.campaign.checks import listed
 from calib.campaign.model import Campaign
@@ -43,16 +44,12 @@ def left_open(uncertainty: Uncertainty, parameters: Parameters) -> tuple[str, ..
 
     `uncertainty`: allows for shared noise. Of data alone the mean radius is open where the nominal one is as good.
     """
-    from scipy.special import stdtrit
-
     names, spread, pull = parameters.free_names, parameters.prior_std[parameters.free], parameters.pull
     before = np.sqrt(np.diag(np.linalg.inv(pull.T @ pull))) if parameters.pulled else np.ones(len(spread))
     rows = [name for name, ratio in zip(names, uncertainty.std / spread / before, strict=True) if ratio > TOLERATED]
     radii = np.array(["radius" in name for name in names])
-    mean = float(np.sqrt(radii @ uncertainty.covariance @ radii)) / max(
-        float(parameters.nominal[parameters.free] @ radii), 1e-300
-    )
-    freedom = uncertainty.freedom
+    nominal, freedom = float(parameters.nominal[parameters.free] @ radii), uncertainty.freedom
+    mean = float(np.sqrt(radii @ uncertainty.covariance @ radii)) / max(nominal, 1e-300)
     dof = float(uncertainty.free[radii].min(initial=np.inf)) if freedom is None else freedom.of(radii * 1.0)
     # a standard deviation from hardly any runs is itself unknown: as wide as one that is known
     mean *= float(stdtrit(min(dof, MANY), ONE_SD))
@@ -112,10 +109,6 @@ def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
     return drives.Differential(model.radius_left_m, model.radius_right_m, model.track_m, varied, *slopes)
 
 
-def _squares(whitener: FloatArray, solution: Solution) -> float:
-    return float(np.square(np.einsum("nij,nj->ni", whitener, solution.prediction.residuals)).sum())
-
-
 def fit_parameters(
     campaign: Campaign,
     drive: Drive,
@@ -131,6 +124,7 @@ def fit_parameters(
     shape (4,), for runs not driven yet.
     """
     free, never = [item.name for item in drive.parameters], tuple[str, ...]()
+    first_scales = drives.first_scales(campaign.reference)
     if segments.gyro.any():
         free.append(GYRO_SCALE)
     if sensor:
@@ -151,10 +145,11 @@ def fit_parameters(
             # wrong counts or units: nominal lengths are no start
             far = alone
         if known is None:
-            solution = solve(model, parameters, values, drives.first_scales(campaign.reference))
+            solution = solve(model, parameters, values, first_scales)
             if far is not None:
-                other = solve(model, parameters, far, drives.first_scales(campaign.reference))
-                near, off = (_squares(solution.whitener, one) for one in (solution, other))
+                other, whitener = solve(model, parameters, far, first_scales), solution.whitener
+                left = (np.einsum("nij,nj->ni", whitener, one.prediction.residuals) for one in (solution, other))
+                near, off = (float(np.square(part).sum()) for part in left)
                 solution = other if off < CLEARLY_LESS * near else solution
         else:
             solution = planned(model, parameters, values, known)
@@ -226,11 +221,9 @@ def delay_losses(fitted: Fitted) -> FloatArray:
         return np.zeros((0, 1))
     delay, size, losses = np.eye(len(solution.values))[-1], model.segments.seen.sum(axis=1), []
     for offset in OFFSETS_S:
-        residuals = model.predict(
-            solution.values + offset * delay, path=solution.prediction.path, by_drive=False
-        ).residuals
-        loss = np.log1p(np.square(np.einsum("nij,nj->ni", solution.whitener, residuals)).sum(axis=1) / DEGREES)
-        loss *= 0.5 * (DEGREES + size)
+        late = model.predict(solution.values + offset * delay, path=solution.prediction.path, by_drive=False)
+        white = np.einsum("nij,nj->ni", solution.whitener, late.residuals)
+        loss = 0.5 * (DEGREES + size) * np.log1p(np.square(white).sum(axis=1) / DEGREES)
         losses.append(np.bincount(group[model.segments.run], loss, minlength=group.max() + 1))
     return np.array(losses)
 
@@ -264,9 +257,8 @@ def parted(fitted: Fitted, used: BoolArray) -> tuple[str, list[str]]:
     apart = (step[1] - step[0]) / np.sqrt(np.diag(sum(inverse)))
     most = int(np.argmax(np.abs(apart)))
     gain, run_id = gain * np.sign(apart[most]), fitted.model.recording.run_id[runs]
-    return fitted.parameters.free_names[most], [
-        listed(run_id[side * gain > 2.0 * CLEARLY_LIKELIER]) for side in (1.0, -1.0)
-    ]
+    sides = [listed(run_id[side * gain > 2.0 * CLEARLY_LIKELIER]) for side in (1.0, -1.0)]
+    return fitted.parameters.free_names[most], sides
 
 
 def own_delays(fitted: Fitted) -> tuple[tuple[Delay, ...], FloatArray]:
@@ -314,8 +306,6 @@ def steering_zero_spread_rad(fitted: Fitted) -> float:
 
 
 def _disagree(shift: FloatArray, std: FloatArray) -> bool:
-    from scipy.special import chdtrc
-
     weight = 1.0 / np.square(std)
     mean = float(np.sum(weight * shift) / np.sum(weight))
     return bool(chdtrc(len(shift) - 1.0, float(np.sum(weight * np.square(shift - mean)))) < CHANCE)

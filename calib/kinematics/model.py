@@ -218,7 +218,7 @@ class Model:
         """Return the headings' residuals, shape (n,), and derivatives, (n, n_parameters); no path is integrated."""
         motion, segments, t_s = self.motion(values), self.segments, self.recording.t_s
         low, high = self.recording.offsets[segments.run], self.recording.offsets[segments.run + 1] - 1
-        total = np.cumsum(np.vstack([motion.body[2], motion.by_parameter[:, 2]]), axis=1)
+        total = np.cumsum(np.vstack([motion.body[2], motion.by_parameter()[:, 2]]), axis=1)
         turn, *by = total[:, segments.last] - total[:, segments.first]
         by_delay = np.subtract(*(_velocity(total[0], t_s, at, low, high) for at in (segments.first, segments.last)))
         scale, delayed = np.where(segments.gyro, values[-5], 1.0), turn + values[-1] * by_delay

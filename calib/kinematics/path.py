@@ -11,15 +11,11 @@ from calib.types import FloatArray, IntArray, in_frame
 SMALL_RAD, SHORT_RAD = 1e-4, 0.1
 
 
-def _chord_over_arc(half: FloatArray) -> FloatArray:
-    return np.asarray(np.sinc(half / np.pi))
-
-
 def _bend_of_chord(half: FloatArray) -> FloatArray:
     # derivative of sin(h)/h
     if np.abs(half).max(initial=0.0) >= SHORT_RAD:
         near = np.abs(half) < SMALL_RAD
-        return np.where(near, -half / 3.0, (np.cos(half) - _chord_over_arc(half)) / np.where(near, 1.0, half))
+        return np.where(near, -half / 3.0, (np.cos(half) - np.sinc(half / np.pi)) / np.where(near, 1.0, half))
     total, square = np.ones_like(half), half * half
     for divisor in (88.0, 54.0, 28.0, 10.0):
         total *= square
@@ -44,7 +40,7 @@ class Path:
         (x, y, _), (forward, left, turn) = self.pose, self.motion.body
         cosine, sine = self.middle
         along_x, along_y = forward * cosine - left * sine, forward * sine + left * cosine
-        ratio, bend = _chord_over_arc(0.5 * turn), 0.5 * _bend_of_chord(0.5 * turn)
+        ratio, bend = np.sinc(0.5 * turn / np.pi), 0.5 * _bend_of_chord(0.5 * turn)
         # by parts, from the end: a turn takes all later chords along
         half_ratio = 0.5 * ratio
         by_turn_x, by_turn_y = bend * along_x - half_ratio * along_y + y, bend * along_y + half_ratio * along_x - x
@@ -54,7 +50,7 @@ class Path:
         def until(values: FloatArray) -> FloatArray:
             return np.cumsum(np.add.reduceat(values[: at[-1] + 1], first))
 
-        by_motion = self.motion.by_parameter
+        by_motion = self.motion.by_parameter()
         by_parameter = np.empty((len(by_motion), 3, len(at)))
         for (d_forward, d_left, d_turn), (d_x, d_y, d_theta) in zip(by_motion, by_parameter, strict=True):
             step_x, step_y = by_turn_x * d_turn + cosine * d_forward, by_turn_y * d_turn + sine * d_forward
@@ -70,7 +66,7 @@ def integrate_motion(motion: Motion) -> Path:
     forward, left, turn = motion.body
     half, theta = 0.5 * turn, np.cumsum(turn)
     middle = theta - half
-    cosine, sine, ratio = np.cos(middle), np.sin(middle), _chord_over_arc(half)
+    cosine, sine, ratio = np.cos(middle), np.sin(middle), np.sinc(half / np.pi)
     x, y = (forward * cosine - left * sine) * ratio, (forward * sine + left * cosine) * ratio
     return Path(np.stack([np.cumsum(x), np.cumsum(y), theta]), motion, np.stack([cosine, sine]))
 

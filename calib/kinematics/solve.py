@@ -6,6 +6,7 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+from scipy.special import chdtri
 
 from calib.kinematics.drives import Parameters
 from calib.kinematics.model import Model, Prediction, Segments
@@ -198,7 +199,8 @@ def solve(
             break
         values, prediction = advanced or (values, prediction)
     weights, squares = _weights(_whitened(whitener, prediction.residuals.T), size)
-    squares, known = _centred(squares, size), _known(parameters, values)
+    ratio = float(np.median(squares / chdtri(np.maximum(size, 1), 0.5)))
+    squares, known = squares / ratio if ratio > 0.0 else squares, _known(parameters, values)
     return Solution(values, prediction, scales, _whole(whitener), weights, squares, converged, known)
 
 
@@ -237,8 +239,7 @@ class _Linear:
     off: FloatArray  #: shape (n_rows,)
 
     def part(self, chosen: slice) -> "_Linear":
-        jacobian = np.ascontiguousarray(self.jacobian[:, chosen])
-        residuals = self.residuals[:, chosen].copy()
+        residuals, jacobian = (np.ascontiguousarray(part[:, chosen]) for part in (self.residuals, self.jacobian))
         return replace(self, residuals=residuals, jacobian=jacobian, seen=self.seen[chosen], size=self.size[chosen])
 
     def whitened(self, whitener: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -275,8 +276,11 @@ def _noise(problem: _Linear, kernel: FloatArray, scales: FloatArray, stated: Flo
         jacobian, residuals = problem.whitened(whitener)
         step = _weighted(problem, jacobian, residuals, jacobian @ step)
         left = (residuals - jacobian @ step).reshape(3, -1)
-        pulled = _pulled(whitener, left * np.sqrt(_weights(left, problem.size)[0]))
-        size, trace = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel(), flat @ _inverse(whitener).ravel()
+        a, b, c, d, e, f = whitener
+        x, y, turn = left * np.sqrt(_weights(left, problem.size)[0])
+        pulled = np.stack([a * x + b * y + d * turn, c * y + e * turn, f * turn])
+        inverse = np.stack([a * a + b * b + d * d, b * c + d * e, c * c + e * e, d * f, e * f, f * f]) * _TIMES
+        size, trace = flat @ (_TIMES * pulled[_ROWS] * pulled[_COLUMNS]).ravel(), flat @ inverse.ravel()
         now = scales
         size, trace = size + STATED_READINGS * stated / now**2, trace + STATED_READINGS / now
         quotient = size / np.where(trace > 0.0, trace, 1.0)
@@ -316,17 +320,6 @@ def _whitened(whitener: FloatArray, values: FloatArray) -> FloatArray:
     return white
 
 
-def _pulled(whitener: FloatArray, white: FloatArray) -> FloatArray:
-    a, b, c, d, e, f = whitener
-    x, y, turn = white
-    return np.stack([a * x + b * y + d * turn, c * y + e * turn, f * turn])
-
-
-def _inverse(whitener: FloatArray) -> FloatArray:
-    a, b, c, d, e, f = whitener
-    return np.stack([a * a + b * b + d * d, b * c + d * e, c * c + e * e, d * f, e * f, f * f]) * _TIMES
-
-
 def _whole(whitener: FloatArray) -> FloatArray:
     whole = np.zeros((whitener.shape[1], 3, 3))
     whole[:, _ROWS, _COLUMNS] = whitener.T
@@ -360,10 +353,3 @@ def _advance(
             return trial, prediction if part == 1.0 else model.predict(trial, path=prediction.path)
         part *= 0.4
     return None
-
-
-def _centred(squares: FloatArray, size: IntArray) -> FloatArray:
-    from scipy.special import chdtri
-
-    ratio = float(np.median(squares / chdtri(np.maximum(size, 1), 0.5)))
-    return squares / ratio if ratio > 0.0 else squares

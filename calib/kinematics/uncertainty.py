@@ -6,12 +6,13 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from scipy.special import digamma, fdtrc, polygamma, stdtrit
 
 from calib.kinematics import Recording
 from calib.kinematics.drives import Parameters
 from calib.kinematics.model import Segments
 from calib.kinematics.solve import DEGREES, Shared, Solution
-from calib.types import BoolArray, FloatArray, IntArray, StrArray
+from calib.types import BoolArray, FloatArray, IntArray, StrArray, floats
 
 #: a length that turns determine relative to a radius -> these radii, of which the mean counts
 _BESIDE: Final[Mapping[str, tuple[str, ...]]] = {
@@ -72,8 +73,6 @@ def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
 
 def _level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[float, float, FloatArray]:
     # the mixture over steepness is met by an inverse chi squared of the same mean and variance of the logarithm
-    from scipy.special import digamma, polygamma
-
     raised = 1.0 + np.abs(STEEPNESS)[:, None] * squares
     shapes = np.where(STEEPNESS[:, None] >= 0.0, raised, 1.0 / raised)
     levels = np.maximum((powers / shapes).mean(axis=1), 1e-300)
@@ -175,12 +174,6 @@ def _decorrelated(columns: FloatArray, shared: Shared) -> FloatArray:
     return columns + shared.change[:, :, None] * (factor[:, None] * sums)[shared.group][:, None, :]
 
 
-def _block_scores(solution: Solution, free: BoolArray, block: IntArray) -> FloatArray:
-    flat, residuals, *_ = _unit_columns(solution, free)
-    scores = (flat * residuals[:, None]).reshape(len(block), 3, -1).sum(axis=1)
-    return np.stack([np.bincount(block, column) for column in scores.T], axis=1)
-
-
 def _unit_columns(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     jacobian, residuals = whitened(solution, free)
     information = flattened(jacobian).T @ flattened(jacobian) + solution.pull
@@ -258,7 +251,10 @@ def sandwich(
     factor = _influence(solution)
     by_nominal = _by_nominal(solution, root, scale)
     by_data = factor**2 * (pull.T @ pull) * np.outer(scale, scale)
-    covariance, degrees = by_data + by_nominal, _degrees(np.stack(sizes), np.stack(shares))
+    columns = zip(np.stack(sizes).T, np.moveaxis(np.stack(shares), 2, 0), strict=True)
+    inner = [np.diag(size) - share @ share.T for size, share in columns]
+    degrees = np.array([max(np.trace(one) ** 2 / max(np.square(one).sum(), 1e-300), 1.0) for one in inner])
+    covariance = by_data + by_nominal
     uncertainty = Uncertainty(
         covariance, degrees[: len(root)], by, len(pull), np.sqrt(np.diag(covariance)), np.diag(by_nominal)
     )
@@ -278,11 +274,6 @@ def expected(solution: Solution, free: BoolArray, cluster: IntArray) -> Uncertai
     covariance = _by_information(solution, free)
     by_runs = sandwich(solution, free, cluster, "run", power=OF_RUNS)
     return replace(by_runs, covariance=covariance, apart=np.sqrt(np.diag(covariance)))
-
-
-def _degrees(sizes: FloatArray, shares: FloatArray) -> FloatArray:
-    inner = [np.diag(size) - share @ share.T for size, share in zip(sizes.T, np.moveaxis(shares, 2, 0), strict=True)]
-    return np.array([max(np.trace(one) ** 2 / max(np.square(one).sum(), 1e-300), 1.0) for one in inner])
 
 
 def _influence(solution: Solution) -> float:
@@ -306,8 +297,6 @@ def left_within(solution: Solution, free: BoolArray, segments: Segments, labels:
 
     `solution`, `free`, `segments`: of the fit of all sessions; `labels` (shape (n_runs,)): session of each run.
     """
-    from scipy.special import fdtrc
-
     turned = np.zeros((len(segments), 3, 2))
     turned[:, 0], turned[:, 1] = segments.measured[:, 1:2], -segments.measured[:, :1]
     turned[:, 2, 0] = -1.0
@@ -359,7 +348,9 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
     """
     free = parameters.free
     _, first, block = np.unique(segments.block, return_index=True, return_inverse=True)
-    run, scores = segments.run[first], _block_scores(solution, free, block)
+    run, (flat, residuals, *_) = segments.run[first], _unit_columns(solution, free)
+    pulls = (flat * residuals[:, None]).reshape(len(block), 3, -1).sum(axis=1)
+    scores = floats(np.stack([np.bincount(block, column) for column in pulls.T], axis=1))
     own = own_directions(parameters.free_names, solution.values[free])
     if len(np.unique(run)) >= min(ENOUGH_RUNS, len(run)):
         best = sandwich(solution, free, segments.run, "run", OF_RUNS, own)
@@ -381,8 +372,6 @@ def clustered(solution: Solution, parameters: Parameters, recording: Recording, 
 
 
 def _width(uncertainty: Uncertainty) -> float:
-    from scipy.special import stdtrit
-
     return float(np.mean(np.log(uncertainty.std * stdtrit(uncertainty.dof, 0.975))))
 
 

@@ -225,19 +225,12 @@ def _laid_flat(
     if pose.shape not in {(3,), (n_runs, 3)}:
         raise BadInputError(f"start: found shape {pose.shape}; expected (3,) or ({n_runs}, 3); give x, y, theta")
     try:
-        wide = None if track.size == 1 else np.ascontiguousarray(np.broadcast_to(track, shape)).reshape(-1)
+        track = track if track.size == 1 else np.ascontiguousarray(np.broadcast_to(track, shape))
     except ValueError:
         raise BadInputError(f"track: found shape {track.shape}; expected one that broadcasts to {shape}") from None
-    runs = np.flatnonzero(np.diff(edges) > 0)
-    return _Flat(
-        left=left.reshape(-1),
-        right=right.reshape(-1),
-        per_m=1.0 / (track.reshape(1) if wide is None else wide),
-        starts=edges[:-1][runs],
-        runs=runs,
-        pose=np.ascontiguousarray(np.broadcast_to(pose, (n_runs, 3)).T),
-        shape=shape,
-    )
+    runs, pose = np.flatnonzero(np.diff(edges) > 0), np.ascontiguousarray(np.broadcast_to(pose, (n_runs, 3)).T)
+    travel = left.reshape(-1), right.reshape(-1)
+    return _Flat(*travel, 1.0 / track.reshape(-1), edges[:-1][runs], runs, pose, shape)
 
 
 def integrate(

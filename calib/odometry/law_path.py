@@ -138,7 +138,7 @@ class LawPath:
 
     def error_rows(self) -> list[dict[str, float]]:
         """Return poses, errors and standard uncertainties along the path, one row a point."""
-        columns = {"distance_m": self.distance_m} | self._loads()
+        columns = self._columns()
         for name, driven in (("without", self.without), ("corrected", self.corrected)):
             columns |= {f"{name}_{key}": getattr(driven.poses, key) for key in POSE}
             columns |= {f"{name}_error_{key}": getattr(driven.errors, key) for key in COMPONENTS}
@@ -148,8 +148,7 @@ class LawPath:
     def covariance_rows(self) -> list[dict[str, float]]:
         """Return pose and covariance along the path with the correction on, one row a point."""
         poses, axes, units = self.corrected.poses, ("x", "y", "theta"), ("m", "m", "rad")
-        columns = {"distance_m": self.distance_m} | self._loads()
-        columns |= {"x_m": poses.x_m, "y_m": poses.y_m, "theta_rad": poses.theta_rad}
+        columns = self._columns() | {name: getattr(poses, name) for name in POSE}
         for part in ("systematic", "random"):
             for i, j in combinations_with_replacement(range(3), 2):
                 unit = f"{units[i]}2" if units[i] == units[j] else f"{units[i]}_{units[j]}"
@@ -158,9 +157,9 @@ class LawPath:
         names = ("ellipse95_major_m", "ellipse95_minor_m", "ellipse95_angle_rad")
         return rows_of(columns | dict(zip(names, regions, strict=True)))
 
-    def _loads(self) -> dict[str, FloatArray]:
+    def _columns(self) -> dict[str, FloatArray]:
         left, right = self.loading.at(self.distance_m)
-        return {"load_left_N": left, "load_right_N": right}
+        return {"distance_m": self.distance_m, "load_left_N": left, "load_right_N": right}
 
 
 def law_path(
@@ -201,7 +200,10 @@ def law_path(
         squares = np.einsum("nci,nij,ncj->cn", frame, systematic + random, frame)
         std = dict(zip(COMPONENTS, np.sqrt(np.maximum(squares, 0.0)), strict=True))
         by_wheel = _by_wheel(law, frame[-1] @ slopes[-1], spread)
-        widths = _half_widths(by_wheel, {name: float(part[-1]) for name, part in std.items()})
+        widths = {}
+        for (name, part), one, its_dof in zip(std.items(), *by_wheel, strict=True):
+            excess = NORMAL_95**2 * (float(part[-1]) ** 2 - one.sum())
+            widths[name] = math.sqrt(max(half_width(np.sqrt(one), its_dof.tolist()) ** 2 + excess, 0.0))
         variance, dof = by_wheel[0][3:], by_wheel[1][3:]
         dofs = dof[np.argmax(variance, axis=0), range(variance.shape[1])]
         errors = posing.pose_errors(poses, reference)
@@ -227,14 +229,6 @@ def _by_wheel(law: RadiusLaw, slopes: FloatArray, spread: FloatArray) -> tuple[F
         dof = [shared_dof(np.stack(variance, axis=-1), np.stack(dof, axis=-1))]
         variance = [np.einsum("ni,ij,nj->n", slopes, spread, slopes)]
     return np.column_stack(variance), np.column_stack(dof)
-
-
-def _half_widths(by_wheel: tuple[FloatArray, FloatArray], std: dict[str, float]) -> dict[str, float]:
-    halves = {}
-    for (name, size), variance, dof in zip(std.items(), *by_wheel, strict=True):
-        excess = NORMAL_95**2 * (size**2 - variance.sum())
-        halves[name] = math.sqrt(max(half_width(np.sqrt(variance), dof.tolist()) ** 2 + excess, 0.0))
-    return halves
 
 
 def _frame(heading_rad: FloatArray) -> FloatArray:
@@ -337,13 +331,11 @@ def law_journey(
     low, high = np.quantile(ratios[1:], [0.025, 0.975]).tolist()
     each = np.quantile(distance["without"] / np.maximum(distance["corrected"], 1e-15), [0.025, 0.5, 0.975]).tolist()
     return Journey(
-        load_left_N=loads_N[0],
-        load_right_N=loads_N[1],
-        reference_left_N=reference_N[0],
-        reference_right_N=reference_N[1],
-        band=band,
-        without=intervals["without"],
-        corrected=intervals["corrected"],
+        *loads_N,
+        *reference_N,
+        band,
+        intervals["without"],
+        intervals["corrected"],
         radius_ratio=mean[1] / reference[1] / (mean[0] / reference[0]),
         without_rms_m=float(np.sqrt(square["without"][0])),
         corrected_rms_m=float(np.sqrt(square["corrected"][0])),
@@ -361,10 +353,8 @@ def _scatter(
 ) -> tuple[FloatArray, IntArray, FloatArray, list[float], FloatArray]:
     # root (3, k) of the covariance of radii and track, each column's scale (one a wheel, or one fitted together), drawn
     # scales, dof, errors
-    dof = [
-        float(w.dof_of(w.contrast(load), single_run=single))
-        for w, load in zip((law.left, law.right), loads_N, strict=True)
-    ]
+    wheels = zip((law.left, law.right), loads_N, strict=True)
+    dof = [float(wheel.dof_of(wheel.contrast(load), single_run=single)) for wheel, load in wheels]
     spread = law.covariance_at(loads_N, single_run=single)
     root, of_scale = np.diag(np.sqrt(np.diag(spread))), np.arange(2)
     if law.joint is not None:
@@ -380,7 +370,6 @@ def _scatter(
 
 
 def _end_jacobian(route: Route, believed: Axle, real: Axle, heading_rad: float) -> FloatArray:
-    left, right, track = wheel_travel(route, believed, real)
-    radii = {"radius_left_m": real.radius_left_m, "radius_right_m": real.radius_right_m}
-    by_radius = posing.jacobian(posing.steps(left[0], right[0], track[0], **radii))[-1][:, [0, 2, 4]]
-    return np.asarray(_frame(np.array([heading_rad]))[0] @ by_radius)
+    travel = (part[0] for part in wheel_travel(route, believed, real))
+    path = posing.steps(*travel, radius_left_m=real.radius_left_m, radius_right_m=real.radius_right_m)
+    return np.asarray(_frame(np.array([heading_rad]))[0] @ posing.jacobian(path)[-1][:, [0, 2, 4]])

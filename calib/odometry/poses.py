@@ -88,13 +88,8 @@ def pose_errors(true: Poses, reference: Poses) -> PoseErrors:
     """Return true minus reference, pose by pose; shapes broadcast."""
     dx, dy = true.x_m - reference.x_m, true.y_m - reference.y_m
     cosine, sine = np.cos(reference.theta_rad), np.sin(reference.theta_rad)
-    return PoseErrors(
-        along_m=np.asarray(cosine * dx + sine * dy),
-        lateral_m=np.asarray(cosine * dy - sine * dx),
-        heading_rad=wrapped(true.theta_rad - reference.theta_rad),
-        global_x_m=np.asarray(dx),
-        global_y_m=np.asarray(dy),
-    )
+    along, lateral = np.asarray(cosine * dx + sine * dy), np.asarray(cosine * dy - sine * dx)
+    return PoseErrors(along, lateral, wrapped(true.theta_rad - reference.theta_rad), np.asarray(dx), np.asarray(dy))
 
 
 def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) -> FloatArray:
@@ -187,15 +182,16 @@ def jacobian(
 
     The load offsets are wheel load less the law's reference load in each step; they broadcast to (..., n).
     """
-    turn_left, turn_right = path.left_m / path.radius_left_m, path.right_m / path.radius_right_m
-    offset_left, offset_right = floats(load_offset_left_N), floats(load_offset_right_N)
-    track = path.track_m
+    wheels = (
+        (-1.0, path.left_m / path.radius_left_m, floats(load_offset_left_N)),
+        (1.0, path.right_m / path.radius_right_m, floats(load_offset_right_N)),
+    )
     parts = [
-        (0.5 * turned * times, sign * turned * times / track)
-        for sign, turned, offset in ((-1.0, turn_left, offset_left), (1.0, turn_right, offset_right))
+        (0.5 * turned * times, sign * turned * times / path.track_m)
+        for sign, turned, offset in wheels
         for times in (1.0, offset)
     ]
-    parts.append((np.zeros(path.left_m.shape), -(path.right_m - path.left_m) / track**2))
+    parts.append((np.zeros(path.left_m.shape), -(path.right_m - path.left_m) / path.track_m**2))
     slopes = np.empty((*path.left_m.shape, 3, len(JOINT)))
     for number, (along, turn) in enumerate(parts):
         heading = np.cumsum(turn, axis=-1)
@@ -235,9 +231,9 @@ class RandomWalk:
         return covariance + self._readings(path) if self.count_std else covariance
 
     def _readings(self, path: PathSteps) -> FloatArray:
-        left = 2 * np.pi * path.radius_left_m / self.counts_per_rev_left * self.count_std
-        right = 2 * np.pi * path.radius_right_m / self.counts_per_rev_right * self.count_std
-        left, right, track, _ = np.broadcast_arrays(left, right, path.track_m, path.left_m)
+        left_m = 2 * np.pi * path.radius_left_m / self.counts_per_rev_left * self.count_std
+        right_m = 2 * np.pi * path.radius_right_m / self.counts_per_rev_right * self.count_std
+        left, right, track, _ = np.broadcast_arrays(left_m, right_m, path.track_m, path.left_m)
         theta = path.poses.theta_rad
         start = theta[..., :1] - (path.right_m[..., :1] - path.left_m[..., :1]) / track[..., :1]
         covariance = np.zeros((*path.left_m.shape, 3, 3))

@@ -15,7 +15,7 @@ from calib.errors import ROUTE_POINTS, BadFileError, BadInputError, refuse_more
 from calib.odometry import end_poses, integrate
 from calib.odometry.poses import Poses, read_tum, sinc
 from calib.radius.law import RadiusLaw
-from calib.types import FloatArray, IntArray, floats
+from calib.types import FloatArray, floats
 from calib.vehicle import Vehicle, check_wheel_loads, wheel_loads_N
 
 Segment = tuple[float, float]
@@ -98,18 +98,14 @@ class Route:
         return np.concatenate(([0.0], np.cumsum(np.abs(self.length_m))))
 
 
-def _square(side_m: float, turn_rad: float) -> tuple[Segment, ...]:
-    return (straight(side_m), arc(0.5, turn_rad)) * 4
-
-
 QUARTER: Final = math.pi / 2
 
 NAMED: Final[Mapping[str, tuple[Segment, ...]]] = {
     "corridor": (straight(40.0),),
     "straight15": (straight(15.0),),
     "paper_route": (straight(5.0), arc(3.0, QUARTER), straight(5.0)),
-    "square_cw": _square(4.0, -QUARTER),
-    "square_ccw": _square(4.0, QUARTER),
+    "square_cw": (straight(4.0), arc(0.5, -QUARTER)) * 4,
+    "square_ccw": (straight(4.0), arc(0.5, QUARTER)) * 4,
     "figure8": (arc(2.0, 2 * math.pi), arc(2.0, -2 * math.pi)),
 }
 
@@ -203,8 +199,8 @@ def wheel_travel(route: Route, believed: Axle, real: Axle) -> tuple[FloatArray, 
     real_left, real_right, real_track = (np.atleast_1d(part)[:, None] for part in real.arrays())
     half = 0.5 * track * route.turn_rad
     travel = real_left / left * (route.length_m - half), real_right / right * (route.length_m + half)
-    parts = np.broadcast_arrays(*travel, real_track)
-    return parts[0], parts[1], parts[2][:, :1]
+    left, right, track = np.broadcast_arrays(*travel, real_track)
+    return left, right, track[:, :1]
 
 
 def follow(route: Route, believed: Axle, real: Axle) -> Poses:
@@ -239,10 +235,10 @@ def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayL
     carried = np.repeat(floats(run_N), np.diff(edges))
     if logged_N is None:
         return carried
-    logged, first = floats(logged_N), np.repeat(edges[:-1], np.diff(edges))
+    logged = floats(logged_N)
     last = np.maximum.accumulate(np.where(np.isfinite(logged), np.arange(len(carried)), -1))
     last = np.concatenate(([-1], last))[:-1]
-    known = last >= first
+    known = last >= np.repeat(edges[:-1], np.diff(edges))
     carried[known] = logged[last[known]]
     return carried
 
@@ -283,26 +279,20 @@ def travel_from_counts(
     run or one a sample.
     """
     edges = np.asarray([0, len(np.atleast_1d(counts_left))] if offsets is None else offsets, dtype=np.int64)
-    firsts = edges[:-1][np.diff(edges) > 0]
+    lengths = np.diff(edges)
 
     def travel(counts: FloatArray, per_rev: float, radius_m: FloatArray) -> FloatArray:
-        steps = np.diff(counts, prepend=counts[:1])
-        steps[firsts] = 0.0
-        return steps * ((2 * np.pi / per_rev) * _wide(radius_m, edges, len(counts)))
+        n, steps = len(counts), np.diff(counts, prepend=counts[:1])
+        steps[edges[:-1][lengths > 0]] = 0.0
+        if radius_m.ndim and len(radius_m) not in {n, len(lengths)}:
+            text = f"radii: found {len(radius_m)} values"
+            raise BadInputError(f"{text}; expected one, one a run ({len(lengths)}) or one a sample ({n})")
+        if radius_m.ndim and len(radius_m) != n:
+            radius_m = np.repeat(radius_m, lengths)
+        return steps * ((2 * np.pi / per_rev) * radius_m)
 
-    return (
-        travel(floats(counts_left), encoder.counts_per_rev_left, floats(radius_left_m)),
-        travel(floats(counts_right), encoder.counts_per_rev_right, floats(radius_right_m)),
-    )
-
-
-def _wide(radius: FloatArray, edges: IntArray, n: int) -> FloatArray:
-    if radius.ndim == 0 or len(radius) == n:
-        return radius
-    if len(radius) == len(edges) - 1:
-        return np.repeat(radius, np.diff(edges))
-    text = f"radii: found {len(radius)} values"
-    raise BadInputError(f"{text}; expected one, one a run ({len(edges) - 1}) or one a sample ({n})")
+    left = travel(floats(counts_left), encoder.counts_per_rev_left, floats(radius_left_m))
+    return left, travel(floats(counts_right), encoder.counts_per_rev_right, floats(radius_right_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -136,10 +136,9 @@ class Sweep:
 def run_sweep(route: Route | str, cases: Sequence[Case], *, track_m: float, real_track_m: float | None = None) -> Sweep:
     """Drive vehicles with different radii over a route (or of that name); the real track is `track_m` by default."""
     way = find_route(route) if isinstance(route, str) else route
-    believed = Axle(1.0, 1.0, track_m)
+    believed, fine = Axle(1.0, 1.0, track_m), way.divided(SPACING_M)
     radii = ([case.left for case in cases], [case.right for case in cases])
     real = Axle(*radii, track_m if real_track_m is None else real_track_m)
-    fine = way.divided(SPACING_M)
     what = f"poses of {len(cases)} vehicles along {way.name}"
     refuse_more(what, len(cases) * (len(fine) + 1), SIMULATED_POSES, "simulate fewer vehicles, or a shorter route")
     reference, poses, corners = fine.poses(), follow(fine, believed, real), follow(way, believed, real)
@@ -320,24 +319,10 @@ def simulate(
         figure: run_sweep(name, chosen or (Case.given(1.0, 1.0),), track_m=track_m, real_track_m=real_track_m)
         for figure, name in zip(figures, names, strict=True)
     }
-    return Simulation(
-        study=study,
-        title=known.title if known else "Radii as given",
-        sweeps=sweeps,
-        headlines=headlines(next(iter(sweeps.values())).route, track_m) if study == "corrected" and not cases else (),
-        law=None if under is None else _law_part(study, find_route(names[-1]), under, rng),
-    )
-
-
-def _hold_radii(law: RadiusLaw, loads_N: Sequence[tuple[float, float]]) -> None:
-    for pair in loads_N:
-        for side, wheel, load in zip(SIDES, (law.left, law.right), pair, strict=True):
-            radius = float(wheel.radius_m(load))
-            if implausible_ratio(radius / float(wheel.radius_m(wheel.reference_load_N))):
-                raise BadInputError(
-                    f"load of the {side} wheel: found {load:g} N, where the law gives a radius of {radius:g} m; "
-                    f"expected a load nearer to the {wheel.load_min_N:g} to {wheel.load_max_N:g} N where it holds"
-                )
+    first, title = next(iter(sweeps.values())).route, known.title if known else "Radii as given"
+    lines = headlines(first, track_m) if study == "corrected" and not cases else ()
+    law = None if under is None else _law_part(study, find_route(names[-1]), under, rng)
+    return Simulation(study, title, sweeps, lines, law)
 
 
 def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Generator) -> LawPart:
@@ -355,7 +340,14 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
     # setting a journey up takes as long as some twenty pieces
     most = DRAWN_PIECES // (len(pairs) * (len(route) + 20))
     refuse_more(f"draws of {len(pairs)} journeys of {len(route)} pieces", draws, most, "ask for fewer of them")
-    _hold_radii(law, [*pairs, reference_N])
+    for pair in (*pairs, reference_N):
+        for side, wheel, load in zip(SIDES, wheels, pair, strict=True):
+            radius = float(wheel.radius_m(load))
+            if implausible_ratio(radius / float(wheel.radius_m(wheel.reference_load_N))):
+                raise BadInputError(
+                    f"load of the {side} wheel: found {load:g} N, where the law gives a radius of {radius:g} m; "
+                    f"expected a load nearer to the {wheel.load_min_N:g} to {wheel.load_max_N:g} N where it holds"
+                )
     loading = under.loading or Loading.from_rows([(0.0, *pairs[0])])
     path = law_path(under.axle, route, loading=loading, reference_N=reference_N, draws=draws, rng=rng.spawn(1)[0])
     journeys = tuple(
@@ -363,9 +355,8 @@ def _law_part(study: str, route: Route, under: LawJourneys, rng: np.random.Gener
         for pair in pairs
         for band in BANDS[: 1 + law.scatters]
     )
-    notes = (
-        [] if law.scatters else ["scatter of single runs was not estimated: no ± of a run, and intervals without it"]
-    )
+    unknown = "scatter of single runs was not estimated: no ± of a run, and intervals without it"
+    notes = [] if law.scatters else [unknown]
     carried = [reference_N, *pairs, *zip(path.loading.left_N.tolist(), path.loading.right_N.tolist(), strict=True)]
     for side, wheel, loads in zip(SIDES, wheels, map(set, zip(*carried, strict=True)), strict=True):
         beyond = [load for load in sorted(loads) if not wheel.load_min_N - 1.0 <= load <= wheel.load_max_N + 1.0]

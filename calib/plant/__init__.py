@@ -74,11 +74,15 @@ def _tailed(rng: np.random.Generator, shape: tuple[int, ...], tail: float) -> Fl
     return np.asarray(rng.standard_t(tail, shape) * np.sqrt((tail - 2.0) / tail))
 
 
+#: scales of errors drawn for each run, in this order
+_TAILED: Final = ("laser_m", "start_heading_rad", "steer_rad", "front")
+
+
 def draw_noise(noise: Noise, n_runs: int, rng: np.random.Generator) -> NoiseDraw:
     """Draw the noise of `n_runs` runs."""
-    tail = noise.tail
-    common = noise.common * _tailed(rng, (n_runs,), tail)
-    differential = noise.differential * _tailed(rng, (n_runs,), tail)
+    tail, one_each = noise.tail, (n_runs,)
+    common = noise.common * _tailed(rng, one_each, tail)
+    differential = noise.differential * _tailed(rng, one_each, tail)
     mixing = np.ones(n_runs) if np.isinf(tail) else np.sqrt((tail - 2.0) / rng.chisquare(tail, n_runs))
     axes = np.array([noise.ref_xy_m, noise.ref_xy_m, noise.ref_theta_rad])
     return NoiseDraw(
@@ -86,10 +90,7 @@ def draw_noise(noise: Noise, n_runs: int, rng: np.random.Generator) -> NoiseDraw
         scale_left=1.0 + common - 0.5 * differential,
         scale_right=1.0 + common + 0.5 * differential,
         phase=rng.random((3, n_runs)),
-        laser_m=noise.laser_m * _tailed(rng, (n_runs,), tail),
-        start_heading_rad=noise.start_heading_rad * _tailed(rng, (n_runs,), tail),
-        steer_rad=noise.steer_rad * _tailed(rng, (n_runs,), tail),
-        front=noise.front * _tailed(rng, (n_runs,), tail),
+        **{name: getattr(noise, name) * _tailed(rng, one_each, tail) for name in _TAILED},
         pose=axes * _tailed(rng, (n_runs, 3), tail),
         seed=int(rng.integers(2**62)),
         reading_rad=noise.reading_rad,

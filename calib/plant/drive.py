@@ -327,12 +327,10 @@ def with_blunder(world: World, counts: FloatArray) -> FloatArray:
 
 def simulated_poses(world: World, record: Record) -> FloatArray:
     """Return an outside simulator's end poses, shape (3, n_runs), by exact arcs or (`world.euler`) Euler steps."""
-    per_rad = world.design.counts_per_rev / (2 * np.pi)
-    left, right = record.counts[:2] / per_rad
+    left, right = record.counts[:2] / (world.design.counts_per_rev / (2 * np.pi))
     left_m, right_m = left * world.believed_left_m, right * world.believed_right_m
     theta = (right_m - left_m) / world.model.track_m
-    way = np.diff(0.5 * (left_m + right_m), axis=0)
-    turn = np.diff(theta, axis=0)
+    way, turn = np.diff(0.5 * (left_m + right_m), axis=0), np.diff(theta, axis=0)
     heading = np.where(world.euler > 0, theta[1:], 0.5 * (theta[1:] + theta[:-1]))
     chord = np.where(world.euler > 0, way, way * np.sinc(turn / (2 * np.pi)))
     x, y = np.sum(chord * np.cos(heading), axis=0), np.sum(chord * np.sin(heading), axis=0)

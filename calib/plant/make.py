@@ -65,18 +65,10 @@ def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_r
     table = RunTable(labels=labels, numbers=columns, excluded=np.zeros(len(design), dtype=bool), line=number + 2)
     sigmas = (noise.laser_m, noise.ref_xy_m, noise.ref_theta_rad)
     laser_m, xy_m, theta_rad = (float(f"{sigma * noise.stated_ratio:.2g}") for sigma in sigmas)
-    return Campaign(
-        root=None,
-        name="campaign",
-        simulated=True,
-        vehicle=design.vehicle,
-        encoder=Encoder(design.counts_per_rev, design.counts_per_rev),
-        model=world.model,
-        rangefinder=Rangefinder(sigma_m=laser_m),
-        reference=Reference(sigma_xy_m=xy_m, sigma_theta_rad=theta_rad),
-        runs=table,
-        logs=_logs(world, noise, draw, record, counts, poses) if logged else Logs.empty(len(design)),
-    )
+    encoder, instruments = Encoder(design.counts_per_rev, design.counts_per_rev), Rangefinder(sigma_m=laser_m)
+    sections = design.vehicle, encoder, world.model, instruments, Reference(xy_m, theta_rad)
+    logs = _logs(world, noise, draw, record, counts, poses) if logged else Logs.empty(len(design))
+    return Campaign(None, "campaign", True, *sections, table, logs)
 
 
 def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: FloatArray, poses: FloatArray) -> Logs:
@@ -102,14 +94,10 @@ def random_model(design: Design, rng: np.random.Generator) -> OdometryModel:
     vehicle = design.vehicle
     radius = vehicle.wheel_radius_m * (1 + 2e-3 * rng.uniform(-1, 1, 2) - 5e-3)
     slopes = design.slope_per_N * radius * np.array([1.0, rng.uniform(0.85, 1.15)])
-    return OdometryModel(
-        radius_left_m=round(float(radius[0]), 6),
-        radius_right_m=round(float(radius[1]), 6),
-        track_m=round(vehicle.track_m * (1 + 5e-3 * float(rng.uniform(-1, 1))), 5),
-        reference_load_N=REFERENCE_LOAD_N,
-        slope_left_m_per_N=float(f"{slopes[0]:.6g}"),
-        slope_right_m_per_N=float(f"{slopes[1]:.6g}"),
-    )
+    left_m, right_m = (round(one, 6) for one in radius.tolist())
+    track_m = round(vehicle.track_m * (1 + 5e-3 * float(rng.uniform(-1, 1))), 5)
+    left_m_per_N, right_m_per_N = (float(f"{one:.6g}") for one in slopes)
+    return OdometryModel(left_m, right_m, track_m, REFERENCE_LOAD_N, left_m_per_N, right_m_per_N)
 
 
 def as_causes(truth: Mapping[str, float] | Causes, design: Design, rng: np.random.Generator) -> list[Cause]:
@@ -248,8 +236,7 @@ class PlannedFleet:
     @property
     def labels(self) -> dict[str, dict[str, str]]:
         """The hall of each vehicle."""
-        hall = np.where(np.isin(np.arange(len(self.names)), self.in_hall), "B", "A")
-        return {"hall": dict(zip(self.names, hall.tolist(), strict=True))}
+        return {"hall": _halls(self.names, self.truth.common)}
 
     def months(self, rng: np.random.Generator, row: int) -> list[Table]:
         """Drive the journeys of vehicle number `row`, a run table a month."""
@@ -314,12 +301,17 @@ def make_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) -> Fleet
             pq.write_table(pa.table(table), sink)
             write_bytes(where / "runs.parquet", sink.getvalue().to_pybytes(), force=True)
     (folder / "campaign.toml").write_bytes(SETTINGS.encode())
-    _write_beside(folder, fleet.labels["hall"], fleet.truth)
+    _write_beside(folder, fleet.names, fleet.truth)
     return fleet.truth
 
 
-def _write_beside(folder: Path, halls: Mapping[str, str], truth: "FleetTruth | PosedTruth") -> None:
-    lines = ["vehicle,hall", *(f"{name},{hall}" for name, hall in halls.items())]
+def _halls(names: Sequence[str], common: Sequence[str]) -> dict[str, str]:
+    inside = set(common)
+    return {name: "B" if name in inside else "A" for name in names}
+
+
+def _write_beside(folder: Path, names: Sequence[str], truth: "FleetTruth | PosedTruth") -> None:
+    lines = ["vehicle,hall", *(f"{name},{hall}" for name, hall in _halls(names, truth.common).items())]
     (folder / "vehicles.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (folder / "truth.json").write_text(json.dumps(asdict(truth), indent=2) + "\n", encoding="utf-8")
 
@@ -360,5 +352,5 @@ def make_posed_fleet(folder: Path, rng: np.random.Generator, size: FleetSize) ->
     for number, name in enumerate(names):
         causes = [Cause("track_width", float(relative[number]), "plain", {}), *([zone] if number in in_hall else ())]
         write_campaign(make_campaign(design, causes, rng, model=model, name=name), folder / name)
-    _write_beside(folder, {name: "B" if name in truth.common else "A" for name in names}, truth)
+    _write_beside(folder, names, truth)
     return truth

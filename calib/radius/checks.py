@@ -244,8 +244,7 @@ def _direction(runs: _Residuals) -> Check | None:
 
 
 def _range(fit: WheelFit) -> Check:
-    law = fit.law
-    margin = REFERENCE_MARGIN * (law.load_max_N - law.load_min_N)
+    law, margin = fit.law, REFERENCE_MARGIN * (fit.law.load_max_N - fit.law.load_min_N)
     span = f"{law.load_min_N:.0f} to {law.load_max_N:.0f} N"
     if law.load_min_N - margin <= law.reference_load_N <= law.load_max_N + margin:
         sentence = f"The law was measured for {span} a wheel; files of it hold 1 % of that span (at least 1 N) beyond."
@@ -320,8 +319,12 @@ def _session(fit: WheelFit, groups: Groups) -> Check | None:
     estimate = fit.estimate
     if len(groups) < 2 or len(groups) == len(fit.load_N) or estimate.session_f is None or estimate.dof_between < 1:
         return None
-    p_value = float(fdtrc(estimate.dof_between, estimate.dof_within, estimate.session_f))
-    width_ratio = _against_naive(fit)
+    p_value, width_ratio = float(fdtrc(estimate.dof_between, estimate.dof_within, estimate.session_f)), ""
+    aware, naive = (float(one.half_width((0.0, 1.0))) if one else 0.0 for one in (estimate, fit.naive))
+    if naive > 0 and aware > 0:
+        times = naive / aware
+        wide = "as wide as this one" if abs(times - 1.0) < 0.05 else f"{few_digits(times, 2)} times as wide"
+        width_ratio = f" Counting every run as independent would give a slope interval {wide}."
     subject, cause = "Sessions differ", "temperature, a remounted rangefinder, wear"
     if estimate.design == "confounded":
         subject = "Session means leave the line"
@@ -335,16 +338,6 @@ def _session(fit: WheelFit, groups: Groups) -> Check | None:
     return p_check("session", estimate.session_f, name, p_value, sentences)
 
 
-def _against_naive(fit: WheelFit) -> str:
-    if fit.naive is None:
-        return ""
-    aware, naive = (float(estimate.half_width((0.0, 1.0))) for estimate in (fit.estimate, fit.naive))
-    if naive <= 0 or aware <= 0:
-        return ""
-    wide = "as wide as this one" if abs(naive / aware - 1.0) < 0.05 else f"{few_digits(naive / aware, 2)} times as wide"
-    return f" Counting every run as independent would give a slope interval {wide}."
-
-
 def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
     if fit.model != "line" or not 3 <= len(groups) <= MAX_INFLUENCE_SESSIONS:
         return None
@@ -356,8 +349,7 @@ def _session_influence(fit: WheelFit, groups: Groups) -> Check | None:
             change[session] = np.polyfit(x[others], y[others], 1)[0]
     if not change.any():
         return None
-    worst = int(np.argmax(np.abs(change)))
-    half = float(fit.estimate.half_width((0.0, 1.0)))
+    worst, half = int(np.argmax(np.abs(change))), float(fit.estimate.half_width((0.0, 1.0)))
     ratio = abs(float(change[worst])) / half if half > 0 else 0.0
     slope, name = fit.law.slope_m_per_N, groups.names[worst]
     words = f"changes the slope by {100 * change[worst] / slope:+.2g} %" if slope else ""

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 from numpy.typing import ArrayLike
+from scipy.special import ellipeinc
 
 from calib.campaign.checks import partial_slope
 from calib.campaign.model import Campaign
@@ -16,7 +17,7 @@ from calib.errors import BadInputError
 from calib.radius.effective import EffectiveRadii, UnusedRun, usable_runs
 from calib.radius.path_length import PathExcess, arc_excess, correct_paths, small_amplitude_excess, whole_period_excess
 from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, NOTE_BELOW, UM, Check, WheelFit, t_check
-from calib.types import BoolArray, FloatArray, Row, StrArray, floats, rows_of
+from calib.types import FloatArray, Row, StrArray, floats, rows_of
 from calib.vehicle import Vehicle
 
 #: halvings of an interval, down to rounding
@@ -38,8 +39,6 @@ def weave_excess(
     ``S_R,L = S +- (track / 2) (theta_end - theta_start)``. A and lambda, see `whole_period_excess`, S_O and phase
     broadcast.
     """
-    from scipy.special import ellipeinc
-
     arrays = map(floats, (amplitude_m, wavelength_m, distance_m, phase_rad))
     amplitude, wavelength, distance, phase = np.broadcast_arrays(*arrays)
     k = 2 * np.pi / wavelength
@@ -76,7 +75,7 @@ def allowed_amplitude_on_run_m(
 
     def worse(amplitude_m: FloatArray) -> FloatArray:
         excess = weave_excess(amplitude_m, wavelength_m, distance_m, track_m, phase_rad=phase_rad)
-        return np.maximum(np.abs(radius_error(excess.left)), np.abs(radius_error(excess.right)))
+        return floats(np.abs(radius_error([excess.left, excess.right])).max(axis=0))
 
     over_periods, *_ = np.broadcast_arrays(allowed_amplitude_m(tolerance, wavelength_m), distance_m, phase_rad)
     # part of a period may allow more: a wide bracket
@@ -121,8 +120,7 @@ def deviation_rows(
     if not 0 < tolerance < 1:
         raise BadInputError(f"tolerance: found {tolerance:g}; expected a share between 0 and 1; 0.0005 is 0.05 %")
     a, w = (grid.ravel() for grid in np.meshgrid(amplitudes_m, wavelengths_m, indexing="ij"))
-    path = weave_excess(a, w, distance_m, track_m)
-    whole = whole_period_excess(a, w)
+    path, whole = weave_excess(a, w, distance_m, track_m), whole_period_excess(a, w)
     table = {
         "amplitude_m": a,
         "wavelength_m": w,
@@ -300,7 +298,7 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     distance = np.abs(runs.number("distance_m"))
     blind = np.isnan(runs.number("ref_theta_rad"))
     known = (path.source != "none") & ~(blind & (steered_itself_m(campaign) >= 0.0))
-    left, right = radius_error(path.left), radius_error(path.right)
+    left, right = radius_error([path.left, path.right])
     error, columns = np.maximum(np.abs(left), np.abs(right)), path.source == "columns"
     # the turn of a weave of unknown phase is at most sqrt(2) of its standard deviations
     std = np.hypot(0.5 * vehicle.track_m * path.yaw_std_rad / distance, path.centre_std)
@@ -309,12 +307,11 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     # an unknown phase is taken as that of the largest turn
     phases = np.where(columns, np.pi * (0.5 - distance / path.wavelength_m), path.phase_rad)
     phased = weaving & np.isfinite(phases)
-    allowed = np.full(len(runs), np.nan)
+    allowed, small = np.full((2, len(runs)), np.nan)
     allowed[weaving] = allowed_amplitude_m(tolerance, path.wavelength_m[weaving])
     if phased.any():
         length, phase, far = (part[phased] for part in (path.wavelength_m, phases, distance))
         allowed[phased] = allowed_amplitude_on_run_m(tolerance, length, far, vehicle.track_m, phase_rad=phase)
-    small = np.full(len(runs), np.nan)
     small[weaving] = small_amplitude_excess(path.amplitude_m[weaving], path.wavelength_m[weaving])
     # r_R / r_L of each run; the distance cancels
     ratio = (np.abs(runs.number("counts_left")) / campaign.encoder.counts_per_rev_left * (1 + path.right)) / (
@@ -345,15 +342,13 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         "arc_turn_rad": turn,
         "arc_excess": arc_excess(turn, distance, vehicle.track_m).centre,
     }
-    notes = (*path.notes, *_bow_note(known & blind, distance, tolerance, vehicle))
-    return RunDeviations(tolerance, columns, left_out, notes)
-
-
-def _bow_note(blind: BoolArray, distance_m: FloatArray, tolerance: float, vehicle: Vehicle) -> Iterator[str]:
+    notes, blind = path.notes, known & blind
     if blind.any():
         # a bow turns the vehicle by 8 bows over the distance
-        bow_m = tolerance * float(np.median(distance_m[blind])) ** 2 / (4.0 * vehicle.track_m)
-        yield (
+        bow_m = tolerance * float(np.median(distance[blind])) ** 2 / (4.0 * vehicle.track_m)
+        bow = (
             f"A steady bow of {blind.sum()} of {len(blind)} runs is not seen: nothing tells it from unequal radii. One "
             f"of {1e3 * bow_m:.3g} mm moves a radius by {100 * tolerance:g} %; measure ref_theta_rad at the end."
         )
+        notes = (*notes, bow)
+    return RunDeviations(tolerance, columns, left_out, notes)

@@ -117,6 +117,9 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")
     straight |= not straight.any()
     distance = runs.number("distance_m")
+    unloaded, backward = need_load & ~np.isfinite(loads).all(axis=0), counts.prod(axis=0) < 0
+    turns = (np.abs(turn) > STRAIGHT_TURN_RAD) & (np.abs(unusual) > STRAIGHT_TURN_RAD)
+    turns |= np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD
     reasons = (
         (runs.excluded, "flagged as excluded in runs.csv"),
         (~straight, "not a corridor run by its kind"),
@@ -126,19 +129,9 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         (~np.isfinite(counts[0]), "has no counts_left"),
         (~np.isfinite(counts[1]), "has no counts_right"),
         ((counts == 0).any(axis=0), "has a wheel without a single count"),
-        (
-            counts.prod(axis=0) < 0,
-            "has counts of opposite sign: one encoder runs backwards, or the vehicle turned on the spot",
-        ),
-        (
-            need_load & ~np.isfinite(loads).all(axis=0),
-            "has no load_left_N, load_right_N, nor a payload with payload_x_m",
-        ),
-        (
-            ((np.abs(turn) > STRAIGHT_TURN_RAD) & (np.abs(unusual) > STRAIGHT_TURN_RAD))
-            | (np.abs(runs.number("ref_theta_rad")) > STRAIGHT_HEADING_RAD),
-            "is not a straight run: its heading changed too much",
-        ),
+        (backward, "has counts of opposite sign: one encoder runs backwards, or the vehicle turned on the spot"),
+        (unloaded, "has no load_left_N, load_right_N, nor a payload with payload_x_m"),
+        (turns, "is not a straight run: its heading changed too much"),
     )
     hits = np.stack([hit for hit, _ in reasons])
     keep, first_reason = ~hits.any(axis=0), hits.argmax(axis=0)
@@ -276,11 +269,10 @@ def declared_sources(campaign: Campaign) -> tuple[SystematicSource, ...]:
     sources = []
     for section, entries in _mapping(declared, where, "uncertainty").items():
         for key, entry in _mapping(entries, where, f"uncertainty.{section}").items():
+            column = f"uncertainty.{section}.{key}"
             if (section, key) not in _DESCRIPTIONS:
-                raise BadFileError(
-                    where, "an unknown key", f"one of {known}", "correct it", column=f"uncertainty.{section}.{key}"
-                )
-            sources.append(_source(section, key, entry, where))
+                raise BadFileError(where, "an unknown key", f"one of {known}", "correct it", column=column)
+            sources.append(_source(section, key, _mapping(entry, where, column), where))
     return tuple(sources)
 
 
@@ -290,9 +282,8 @@ def _mapping(value: Any, where: Path | str, column: str) -> Mapping[str, Any]:
     return value
 
 
-def _source(section: str, key: str, entry: Any, where: Path | str) -> SystematicSource:
-    column = f"uncertainty.{section}.{key}"
-    values = dict(_mapping(entry, where, column))
+def _source(section: str, key: str, entry: Mapping[str, Any], where: Path | str) -> SystematicSource:
+    values = dict(entry)
     distribution, kind = str(values.pop("distribution", "normal")), str(values.pop("type", "B")).upper()
     dof = values.pop("dof", math.inf)
     size, divisor = values.pop("std", None), 1.0
@@ -303,7 +294,7 @@ def _source(section: str, key: str, entry: Any, where: Path | str) -> Systematic
         actual = ", ".join(f"{name} = {value!r}" for name, value in entry.items()) or "nothing"
         expected = f"std or half_width above 0, distribution ({', '.join(_DIVISORS)}), type A or B, and dof"
         remedy = 'write {std = 1e-4} or {half_width = 1e-4, distribution = "rectangular"}'
-        raise BadFileError(where, column=column, found=actual, expected=expected, remedy=remedy)
+        raise BadFileError(where, actual, expected, remedy, column=f"uncertainty.{section}.{key}")
     return SystematicSource(section, key, float(size) / divisor, distribution, kind, float(dof))
 
 
@@ -312,14 +303,13 @@ def with_systematic(wheel: WheelFit, radii: EffectiveRadii, sources: tuple[Syste
 
     The weave by logs is one: the trend that is taken out may hold a part of it that every run has alike.
     """
-    rows = [_shift_of_law(source, wheel, radii.distance_m) for source in sources]
     weaves = [getattr(part, f"std_{wheel.wheel}_m") for part in radii.budget if part.name == "weave"]
-    rows += [np.array([_side_sign(wheel.wheel) * std, 0.0]) for std in weaves]
-    if not rows:
+    if not sources and not weaves:
         return wheel
-    systematic = np.array(rows)
-    dof = np.array([source.dof for source in sources] + [math.inf] * (len(rows) - len(sources)))
-    return replace(wheel, estimate=replace(wheel.estimate, systematic=systematic, systematic_dof=dof))
+    rows = [_shift_of_law(source, wheel, radii.distance_m) for source in sources]
+    rows += [np.array([_side_sign(wheel.wheel) * std, 0.0]) for std in weaves]
+    dof = np.array([*(source.dof for source in sources), *(math.inf for _ in weaves)])
+    return replace(wheel, estimate=replace(wheel.estimate, systematic=np.array(rows), systematic_dof=dof))
 
 
 def systematic_components(

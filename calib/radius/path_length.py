@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import ellipe
 
 from calib.campaign.model import Campaign, Logs
 from calib.campaign.read import looks_ahead
@@ -65,8 +66,6 @@ def whole_period_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> Floa
     ``(2 / pi) sqrt(1 + u) E(m) - 1`` with ``u = (2 pi A / lambda)^2``, E the complete elliptic integral of the second
     kind and ``m = u / (1 + u)`` (Fig. 9). A and lambda broadcast.
     """
-    from scipy.special import ellipe
-
     u = (2 * np.pi * floats(amplitude_m) / floats(wavelength_m)) ** 2
     exact = 2 / np.pi * np.sqrt(1 + u) * ellipe(u / (1 + u)) - 1
     return np.asarray(np.where(u < SERIES_BELOW, u / 4 - 3 * u**2 / 64, exact))
@@ -105,12 +104,10 @@ class RunPaths(PathExcess):
 def correct_paths(campaign: Campaign) -> RunPaths:
     """Return each run's path by log, else measured weave, and by measured final heading."""
     runs, track = campaign.runs, campaign.vehicle.track_m
-    n = len(runs)
     distance = np.abs(runs.number("distance_m"))
-    metres_per_count = (
-        2 * np.pi * campaign.model.radius_left_m / campaign.encoder.counts_per_rev_left,
-        2 * np.pi * campaign.model.radius_right_m / campaign.encoder.counts_per_rev_right,
-    )
+    radii = campaign.model.radius_left_m, campaign.model.radius_right_m
+    per_rev = campaign.encoder.counts_per_rev_left, campaign.encoder.counts_per_rev_right
+    metres_per_count = 2 * np.pi * radii[0] / per_rev[0], 2 * np.pi * radii[1] / per_rev[1]
     weaves = estimate_weaves(campaign.logs, metres_per_count, track)
     # the measured distance corrects the model's radii, and with them the headings
     left, right = (np.abs(runs.number(f"counts_{side}")) for side in ("left", "right"))
@@ -121,12 +118,12 @@ def correct_paths(campaign: Campaign) -> RunPaths:
     amplitude, wavelength = np.abs(runs.number("amplitude_m")), np.abs(runs.number("wavelength_m"))
     listed = ~logged & np.isfinite(amplitude) & (wavelength > 0)
 
-    centre, centre_std, yaw, yaw_std = np.zeros((4, n))
     # a turn within two standard uncertainties is not corrected, and is uncertainty itself
     significant = np.abs(weaves.yaw_rad) > 2.0 * weaves.yaw_std_rad
-    centre[logged], yaw[logged] = weaves.excess[logged], np.where(significant, weaves.yaw_rad, 0.0)[logged]
-    yaw_std[logged] = np.hypot(weaves.yaw_std_rad, np.where(significant, 0.0, weaves.yaw_rad))[logged]
-    centre_std[logged] = weaves.excess_std[logged]
+    turn = np.where(significant, weaves.yaw_rad, 0.0)
+    turn_std = np.hypot(weaves.yaw_std_rad, np.where(significant, 0.0, weaves.yaw_rad))
+    of_logs = weaves.excess, weaves.excess_std, turn, turn_std
+    centre, centre_std, yaw, yaw_std = np.where(logged, of_logs, 0.0)
     if listed.any():
         slope = 2 * np.pi * amplitude[listed] / wavelength[listed]
         turns = 2 * np.pi * distance[listed] / wavelength[listed]
@@ -263,7 +260,7 @@ def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
     u = np.broadcast_to(np.linspace(0.0, 1.0, m), (n, m))
     taper = np.sin(np.pi * u)
     periods = _best_periods(heading_rad, np.minimum(rolled_m, MAX_PERIODS))
-    line, wave = np.zeros((2, n)), np.zeros((2, n))
+    line, wave = np.zeros((2, 2, n))
     x, angle = u, 2 * np.pi * periods[:, None] * u
     for number in range(GAUSS_NEWTON_STEPS):
         co, si = np.cos(angle), np.sin(angle)

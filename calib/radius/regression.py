@@ -124,33 +124,25 @@ class WheelFit:
         the standard deviation of a single run in a session of its own.
         """
         radius, slope = self.estimate.coefficients.tolist()
-        return WheelLaw(
-            reference_load_N=self.reference_load_N,
-            radius_ref_m=radius,
-            slope_m_per_N=slope,
-            covariance=self.estimate.covariance,
-            dof=min(self._dof) if self.model == "line" else self.dof_radius_ref,
-            residual_std_m=float(np.sqrt(self.estimate.run_variance + self.estimate.session_variance)),
-            load_min_N=float(self.load_N.min()),
-            load_max_N=float(self.load_N.max()),
-            n_runs=len(self.load_N),
-            strata=self.estimate,
-        )
+        dof = float(self._dof.min()) if self.model == "line" else self.dof_radius_ref
+        std = float(np.sqrt(self.estimate.run_variance + self.estimate.session_variance))
+        loads = float(self.load_N.min()), float(self.load_N.max())
+        line = self.reference_load_N, radius, slope
+        return WheelLaw(*line, self.estimate.covariance, dof, std, *loads, len(self.load_N), self.estimate)
 
     @cached_property
-    def _dof(self) -> list[float]:
-        dof: list[float] = self.estimate.dof(np.eye(2)).tolist()
-        return dof
+    def _dof(self) -> FloatArray:
+        return self.estimate.dof(np.eye(2))
 
     @property
     def dof_radius_ref(self) -> float:
         """Degrees of freedom of the radius at the reference load."""
-        return self._dof[0]
+        return float(self._dof[0])
 
     @property
     def dof_slope(self) -> float:
         """Degrees of freedom of the slope; 0 for a constant."""
-        return self._dof[1] if self.model == "line" else 0.0
+        return float(self._dof[1]) if self.model == "line" else 0.0
 
     @property
     def intercept_m(self) -> float:
@@ -351,11 +343,11 @@ def paired_law(left: WheelFit, right: WheelFit, groups: Groups) -> RadiusLaw:
     fit of their own gives them.
     """
     wheels, estimates = (left, right), (left.estimate, right.estimate)
-    weight = np.sqrt(groups.weights)
-    means = [groups.means(wheel.residual_m) for wheel in wheels]
-    by_session = all(estimate.dof_between > 0.0 for estimate in estimates)
-    residuals = [groups.within(wheel.residual_m) if by_session else wheel.residual_m for wheel in wheels]
-    of_runs, of_sessions = _cosine(*residuals), _cosine(*(weight * part for part in means)) if by_session else 0.0
+    residuals, of_sessions = [wheel.residual_m for wheel in wheels], 0.0
+    if all(estimate.dof_between > 0.0 for estimate in estimates):
+        of_sessions = _cosine(*(np.sqrt(groups.weights) * groups.means(residual) for residual in residuals))
+        residuals = [groups.within(residual) for residual in residuals]
+    of_runs = _cosine(*residuals)
     of_loads = _cosine(*(wheel.load_N - wheel.load_N.mean() for wheel in wheels))
     block = of_runs * _if_fully_correlated(estimates[0].cov_within, estimates[1].cov_within, of_loads)
     block += of_sessions * _if_fully_correlated(estimates[0].cov_between, estimates[1].cov_between, of_loads)

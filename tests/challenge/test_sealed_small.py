@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.challenge import make, read_public
-from calib.challenge.run import run
+from calib.challenge import make, read_public, run
 from calib.challenge.score import Score, score
 from calib.errors import BadFileError, BadInputError, inputs_kept, refuse_input
 from calib.gap.diagnose import diagnose_in_full

@@ -200,7 +200,7 @@ def test_derivatives_are_those_of_the_motion() -> None:
             change[at] = 1e-6
             ahead, behind = (drive_of_steps.motion(values + sign * change, steps).body for sign in (1, -1))
             # central differences at 1e-6 of unit size are good to 1e-8
-            np.testing.assert_allclose(motion.by_parameter[at], (ahead - behind) / 2e-6, atol=1e-7)
+            np.testing.assert_allclose(motion.by_parameter()[at], (ahead - behind) / 2e-6, atol=1e-7)
 
 
 def test_slip_is_estimated_in_fast_turns_only() -> None:
