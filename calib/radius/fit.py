@@ -21,7 +21,7 @@ from calib.radius.effective import EffectiveRadii, effective_radii
 from calib.radius.order import aliasing_with_load
 from calib.radius.regression import FAIL_BELOW, FAILED, NOTE, OK, UM, Check, WheelFit, fit_wheel, t_check, t_quantile
 from calib.radius.result import PLAUSIBLE, Fit, Setup
-from calib.types import FloatArray, IntArray, StrArray
+from calib.types import FloatArray, IntArray, StrArray, few_digits
 
 #: largest reference load over the largest driven; beyond, rounding takes all digits
 MAX_REFERENCE_RATIO: Final = 1e4
@@ -289,14 +289,21 @@ def with_reading_checks(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[W
     }:
         return wheels
     other, judged = _better_reading(radii), []
+    # one run far off alone is not read better by any load
+    far = int(np.argmax(np.sum([np.abs(wheel.residual_m) for wheel in wheels], axis=0)))
+    columns = ("run_id", "session", "load_left_N", "load_right_N", "radius_left_m", "radius_right_m")
+    others = replace(radii, **{name: np.delete(getattr(radii, name), far) for name in columns})
+    if "loads of other runs" in other and not _better_reading(others):
+        other = ""
     for wheel, scatter in zip(wheels, scatters, strict=True):
         left_m, before_m = _held_out_scatter_m(wheel, radii)
         if any(check.level == NOTE for check in scatter) and (other or left_m > MAX_SHARE_LEFT * before_m):
             worst = ", ".join(radii.run_id[np.argsort(-np.abs(wheel.residual_m))][:3])
             remedy = f"hold loads, counts and distances against the notes of the day, first of {worst}"
             sentence = (
-                f"the loads do not explain the {wheel.wheel} wheel's radii: the law leaves {UM * left_m:.3g} of "
-                f"{UM * before_m:.3g} um of runs held out, {scatter[0].statistic:.0f} times what instruments explain"
+                f"the loads do not explain the {wheel.wheel} wheel's radii: the law leaves {few_digits(UM * left_m)} "
+                f"of {few_digits(UM * before_m)} um of runs held out, {scatter[0].statistic:.0f} times what "
+                "instruments explain"
             )
             checks = (Check(PLAUSIBLE, FAILED, f"{sentence}; {other or remedy}"), *wheel.checks)
             wheel = replace(wheel, checks=tuple(check for check in checks if check.name != "scatter"))
