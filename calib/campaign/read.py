@@ -42,6 +42,8 @@ WHOLE_TURN_RAD: Final = 0.8
 SENSE_RAD: Final = 1.0
 #: what ends at 0 or 360 degrees scatters about it by less
 ABOUT_ZERO_RAD: Final = 0.1
+#: readings that tell a held reference, the part of them that stand alike, and the times their smallest step they go on
+_FEWEST_HELD, _MOSTLY_HELD, _MANY_DIGITS = 10, 0.8, 4.0
 #: a first pose so far from zero, in stated uncertainties, is not in the start frame
 MAP_START_SIGMAS: Final = 8.0
 MAP_START_M, MAP_START_RAD = 0.01, 0.02
@@ -81,9 +83,39 @@ def read_campaign(folder: Path, *, logs: bool = True, lenient: bool = False, pro
         raise error.below(folder) from error
     if found_logs.columns.keys() & set(SPEEDS):
         found_logs = with_counts(found_logs, settings.encoder, settings.vehicle, border)
+    found_logs = without_held_poses(found_logs, border)
     campaign = replace(settings, root=folder, runs=runs, logs=found_logs, hashes=hashes | of_logs)
     campaign = with_references(completed(campaign, shown, border), shown, border)
     return replace(campaign, notes=tuple(border.notes))
+
+
+def without_held_poses(logs: Logs, border: Border) -> Logs:
+    """Return logs in which poses that a slower reference holds between its readings are empty but for the first.
+
+    Held ones stand for as many samples at any speed while the wheels roll, and go on by many of their digits; rounded
+    ones by one. What stands for twice as long is left: a lost reference.
+    """
+    emptied, held_s = np.zeros(int(logs.offsets[-1]), dtype=np.bool_), list[float]()
+    for run, log in logs.each(2, "t_s", *REFERENCE_POSE[:2]):
+        counts = np.stack([np.zeros(len(log["t_s"])), *(log[name] for name in log if name.startswith("counts_"))])
+        steps = np.abs(np.diff([log[name] for name in REFERENCE_POSE if name in log]))
+        rolls, stands = (np.diff(counts) != 0.0).any(axis=0), (steps == 0.0).all(axis=0)
+        fresh = 1 + np.flatnonzero(rolls & ~stands)
+        lengths, jumps = np.diff(fresh), steps[:2][steps[:2] > 0.0]
+        if len(lengths) < _FEWEST_HELD or (usual := float(np.median(lengths))) < 2.0:
+            continue
+        if np.mean(np.abs(lengths - usual) <= 1.0) > _MOSTLY_HELD and np.median(jumps) > _MANY_DIGITS * jumps.min():
+            held, row = rolls & stands, np.arange(len(stands)) + 1
+            since = row - np.maximum.accumulate(np.where(held, 0, row))
+            emptied[logs.offsets[run] + row] = held & (since < 2.0 * usual)
+            held_s.append(usual * float(np.median(np.diff(log["t_s"]))))
+    if not held_s:
+        return logs
+    text = f"""in {len(held_s)} logs poses stand for {np.median(held_s):.2g} s while the wheels roll: those of a slower
+        reference, held between its readings; the first of each counts"""
+    border.say(f"logs, columns {', '.join(REFERENCE_POSE)}", text, "held_poses")
+    poses = {name: np.where(emptied, np.nan, logs.columns[name]) for name in REFERENCE_POSE if name in logs.columns}
+    return replace(logs, columns={**logs.columns, **poses})
 
 
 def loads_from_payload(vehicle: Vehicle, runs: RunTable) -> tuple[FloatArray, FloatArray]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from scipy.special import chdtrc
@@ -292,8 +292,8 @@ def with_reading_checks(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[W
     # one run far off alone is not read better by any load
     far = int(np.argmax(np.sum([np.abs(wheel.residual_m) for wheel in wheels], axis=0)))
     columns = ("run_id", "session", "load_left_N", "load_right_N", "radius_left_m", "radius_right_m")
-    others = replace(radii, **{name: np.delete(getattr(radii, name), far) for name in columns})
-    if "loads of other runs" in other and not _better_reading(others):
+    others: dict[str, Any] = {name: np.delete(getattr(radii, name), far) for name in columns}
+    if "loads of other runs" in other and not _better_reading(replace(radii, **others)):
         other = ""
     for wheel, scatter in zip(wheels, scatters, strict=True):
         left_m, before_m = _held_out_scatter_m(wheel, radii)
