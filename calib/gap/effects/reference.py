@@ -118,7 +118,8 @@ class ReferenceLeverArm(Effect):
 
         scale = reach(observations)
         # a steered vehicle's sensor can sit anywhere between the axles
-        longest = max(2e-1 * scale, observations.vehicle.wheelbase_m * observations.by_front)
+        steered = observations.vehicle.drive in {"tricycle", "ackermann"}
+        longest = max(2e-1 * scale, observations.vehicle.wheelbase_m * steered)
         most = zip(self.NAMES, (longest, 2e-1 * scale), strict=True)
         parameters = tuple(Parameter(name, "m", typical=1e-2 * scale, largest=largest) for name, largest in most)
         return [Form(self.id, "", parameters, perturbations)]

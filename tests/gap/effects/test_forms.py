@@ -320,7 +320,9 @@ def test_plausible_sizes_follow_the_vehicle() -> None:
         s = situation(rich_runs(), vehicle=vehicle, model=model)
         return next(e for e in library(s) if e.id == effect).forms(s)[0].parameters[0].largest
 
-    for effect in ("reference_lever_arm", "payload_position", "curve_scrub"):
+    # anywhere between the axles of a steered vehicle
+    assert [largest("reference_lever_arm", size, 100.0) for size in (0.5, 1.0, 2.0)] == [0.5, 1.0, 2.0]
+    for effect in ("payload_position", "curve_scrub"):
         assert largest(effect, 0.2, 0.7) == pytest.approx(0.2 * largest(effect, 1.0, 100.0))
         # larger vehicles keep the sizes of the field
         assert largest(effect, 2.0, 800.0) == largest(effect, 1.0, 100.0)
