@@ -25,7 +25,7 @@ def implausible(campaign: Campaign) -> Iterator[Note]:
     notes, campaign = _with_counts_of_runs(campaign.included())
     yield from notes
     of_columns = measurements.implausible_distances, measurements.implausible_loads, _columns, poses.implausible_poses
-    of_logs = counts.implausible_paths, counts.interrupted_counts, swapped_sessions, settings.implausible_senses
+    of_logs = paths.implausible_paths, counts.interrupted_counts, swapped_sessions, settings.implausible_senses
     for check in (_settings, _model, *of_columns, *of_logs):
         yield from check(campaign)
 

@@ -1,20 +1,19 @@
-"""Encoder counts and logs: sign, scale, overflow, swapped wheels, the clock, jumps, speed, paths."""
+"""Encoder counts and logs: sign, scale, overflow, swapped wheels, the clock, jumps, speed."""
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from calib.campaign import checks
-from calib.campaign.checks.measurements import factor_reason, odd_sessions
-from calib.campaign.checks.poses import position_unit_hint
+from calib.campaign.checks.measurements import factor_reason
 from calib.campaign.checks.settings import CLOCK_FACTORS
 from calib.campaign.logs import WIDTHS
 from calib.campaign.model import Campaign, Note
 from calib.campaign.read import log_totals
 from calib.campaign.wheels import steered_itself_m
-from calib.types import BoolArray, ComplexArray, FloatArray
+from calib.types import BoolArray, FloatArray, grouped
 
 #: largest relative departure from the nominal radius: of a run, and of all by wear and load
 _MAX_RUN_DEPARTURE: Final = 0.15
@@ -162,7 +161,7 @@ def turn_direction(campaign: Campaign) -> Iterator[Note]:
 def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str, finding: str) -> Iterator[Note]:
     columns = f"counts_left, counts_right, {column}"
     if against.any():  # a turn by counts that jumped is none
-        against = against & ~np.isin(campaign.runs.run_id, [note.run_id for note in count_jumps(campaign)])
+        against = against & ~np.isin(np.arange(len(against)), [jump.run for jump in jumps(campaign)])
     if against.sum() > max(1.0, checks.MOST_OF_THE_RUNS * clear.sum()):
         text = f"""in {int(against.sum())} of {int(clear.sum())} turning runs
             ({checks.listed(campaign.runs.run_id[against])}) {finding}; left and right look swapped throughout, or the
@@ -226,7 +225,35 @@ def clock(campaign: Campaign) -> Iterator[Note]:
 
 
 def count_jumps(campaign: Campaign) -> Iterator[Note]:
-    """Find steps of a counter far beyond all others of the log."""
+    """Find steps of a counter far beyond all others of the log, and overflows."""
+    overflows = grouped(((jump.name, jump.bits), jump.run) for jump in jumps(campaign) if jump.bits)
+    for (name, bits), runs in overflows.items():
+        text = f"""a {bits}-bit counter overflows in {len(runs)} run(s) ({checks.listed(campaign.runs.run_id[runs])});
+            give encoder.wrap_bits = {bits} to have the jumps undone"""
+        yield checks.column_note(name, text, "count_jump", of="logs")
+    for jump in (jump for jump in jumps(campaign) if not jump.bits):
+        text = f"""{jump.times} jump(s), first in sample {jump.sample} by {jump.counts:.0f} counts where
+            {jump.usual:.0f} are usual; the encoder may have lost contact, or the counter was reset"""
+        yield checks.cell_note(campaign, jump.run, f"log {jump.name}", text, "count_jump")
+
+
+class Jump(NamedTuple):
+    """Steps of a counter far beyond all others of a run's log."""
+
+    run: int
+    name: str
+    times: int
+    #: of the first, from 1, and its counts
+    sample: int
+    counts: float
+    #: counts of a step
+    usual: float
+    #: of the counter that overflows so; 0 where it is none
+    bits: int
+
+
+def jumps(campaign: Campaign) -> Iterator[Jump]:
+    """Yield the jumps of each counter of each run."""
     for run, log in campaign.logs.each(20):
         # a gap in time may hold many counts
         time_step = np.diff(log["t_s"]) if "t_s" in log else np.ones(int(campaign.logs.lengths[run]) - 1)
@@ -238,13 +265,8 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
             far = np.flatnonzero(np.abs(counted) > limit)
             if 0 < len(far) <= max(5, 0.01 * len(counted)):
                 first, span = float(counted[far[0]]), np.ptp(log[name])
-                cause = "the encoder may have lost contact, or the counter was reset"
-                near = [b for b in WIDTHS if span < 2.0**b and abs(abs(first) - 2.0**b) < limit[far[0]]]
-                if bits := next(iter(near), None):
-                    cause = f"a {bits}-bit counter overflows so; give encoder.wrap_bits = {bits} to have them undone"
-                text = f"""{len(far)} jump(s), first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} are
-                    usual; {cause}"""
-                yield checks.cell_note(campaign, run, f"log {name}", text, "count_jump")
+                near = (b for b in WIDTHS if span < 2.0**b and abs(abs(first) - 2.0**b) < limit[far[0]])
+                yield Jump(run, name, len(far), int(far[0]) + 2, first, usual, next(near, 0))
 
 
 #: slowest and fastest plausible speed of a vehicle
@@ -336,65 +358,3 @@ def _interruptions(step: FloatArray, log: Mapping[str, FloatArray]) -> tuple[int
     interrupted = (most - least <= _MAX_STEP_CHANGE * most) & fast & ~stood
     lost = float((after - first)[interrupted].sum())
     return int(interrupted.sum()), lost / (float((step > 0).sum()) + lost) if lost else 0.0
-
-
-#: steps into which a log is thinned
-_STEPS: Final = 50
-#: largest turn in a step whose chord counts as its length
-_STRAIGHT_RAD: Final = 0.3
-#: width over length: above, a path covers an area; below, it is a line
-_AREA, _LINE = 0.2, 0.02
-#: relative scatter of reference over wheels: 0.5 where an axis is missing
-_UNEVEN: Final = 0.2
-#: plausible ratio of reference to wheels; wrong counts alone make less of it
-_MOST_RATIO, _LEAST_RATIO = 3.0, 0.02
-
-
-def implausible_paths(campaign: Campaign) -> Iterator[Note]:
-    """Yield positions in another unit or on a line, and two wheels with the same counts."""
-    campaign = checks.on_axle(campaign)
-    ratios, lines, alike = np.full(len(campaign.runs), np.nan), [], []
-    columns = ("ref_x_m", "ref_y_m", "counts_left", "counts_right")
-    for run, log in campaign.logs.each(2, *columns):
-        x, y, left, right = (log[name] for name in columns)
-        known = np.flatnonzero(np.isfinite(x + y + left + right))
-        if len(known) < checks.LEAST_RUNS:
-            continue
-        at = known[:: 1 + len(known) // _STEPS]
-        position, turned = (x + 1j * y)[at], checks.turned_rad(campaign, left[at], right[at])
-        wheels = np.diff([checks.rolled_m(campaign, side, log[f"counts_{side}"][at]) for side in checks.SIDES])
-        rolled = wheels.mean(axis=0)
-        # on the spot the reference moves, not the axle
-        straight = (np.abs(np.diff(turned)) < _STRAIGHT_RAD) & (np.abs(rolled) > 0.5 * np.abs(wheels).max())
-        ratio = np.abs(np.diff(position)[straight] / rolled[straight])
-        ratios[run] = np.median(ratio) if straight.any() else np.nan
-        length, width = _length_and_width(position)
-        alike += [bool((left == right)[known].all())] if width > _AREA * length and rolled.any() else []
-        # on a bent path a missing axis shows as an uneven ratio
-        long, wide = _length_and_width(np.cumsum(rolled * np.exp(0.5j * (turned[1:] + turned[:-1]))))
-        if wide > _AREA * long and straight.any() and np.std(ratio) > _UNEVEN * np.mean(ratio):
-            lines.append(width < _LINE * length)
-    for names, odd, what, hint in (
-        ("ref_x_m, ref_y_m", lines, "positions on a line", "is one the vertical axis, or both one column?"),
-        ("counts_left, counts_right", alike, "the same counts of both wheels", "are both one column?"),
-    ):
-        if sum(odd) >= max(checks.LEAST_RUNS, checks.MOST_OF_THE_RUNS * len(odd)):
-            text = f"found {what} in {sum(odd)} runs that turn; expected each its own; {hint}"
-            yield checks.implausible_column(names, text, of="logs")
-            return
-    stated = all(checks.stated(campaign, key) for key in ("vehicle.wheel_radius_m", "encoder.counts_per_rev"))
-    known = ratios[np.isfinite(ratios)]
-    ratio = float(np.median(known)) if stated and len(known) >= checks.LEAST_RUNS else 1.0
-    texts = []
-    if ratio > _MOST_RATIO or 0.0 < ratio < _LEAST_RATIO:
-        hint = position_unit_hint(ratio, "check their unit, wheel_radius_m and counts_per_rev")
-        texts = [f"positions along the path move {ratio:.3g} times as far as the wheels; expected as far; {hint}"]
-    for name, ratio in odd_sessions(campaign, ratios):
-        moved = f"positions along the path move {ratio:.3g} times as far as in most runs"
-        texts.append(f"in session {name} {moved}; {position_unit_hint(ratio, factor_reason(ratio))}")
-    for text in texts:
-        yield checks.implausible_column("ref_x_m, ref_y_m", text, of="logs")
-
-
-def _length_and_width(path: ComplexArray) -> FloatArray:
-    return np.linalg.svd((path - path.mean()).view(np.float64).reshape(-1, 2), compute_uv=False)

@@ -1,4 +1,4 @@
-"""Poses of a reference along the path: lost, or mirrored against the headings."""
+"""Poses of a reference along the path: lost, mirrored against the headings, on a line or in another unit."""
 
 import math
 from collections.abc import Iterator
@@ -8,6 +8,9 @@ import numpy as np
 
 from calib.campaign import checks
 from calib.campaign.checks import LEAST_RUNS, column_note, rolled_m
+from calib.campaign.checks.counts import jumps
+from calib.campaign.checks.measurements import factor_reason, odd_sessions
+from calib.campaign.checks.poses import position_unit_hint
 from calib.campaign.model import Campaign, Note
 from calib.campaign.wheels import ASIDE
 from calib.types import BoolArray, ComplexArray, FloatArray, few_digits
@@ -45,6 +48,8 @@ def _unfollowed(campaign: Campaign) -> Iterator[tuple[int, FloatArray, FloatArra
     least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
     # largest lever arm from the axle's middle to the sensor, in tracks
     arm = 1.0 + (vehicle.wheelbase_m + math.hypot(sensor.sensor_x_m, sensor.sensor_y_m)) / vehicle.track_m
+    # counts that jump tell no way
+    jumped = {jump.run for jump in jumps(campaign)}
     for run, log in campaign.logs.each(20, "ref_x_m", "ref_y_m", "counts_left", "counts_right"):
         position = log["ref_x_m"] + 1j * log["ref_y_m"]
         known = np.flatnonzero(np.isfinite(position))
@@ -55,7 +60,7 @@ def _unfollowed(campaign: Campaign) -> Iterator[tuple[int, FloatArray, FloatArra
         first = np.append(0, np.flatnonzero(np.diff(position[known])) + 1)
         last = np.append(first[1:], len(known)) - 1
         after = np.minimum(last + 1, len(known) - 1)
-        if len(known) < LEAST_RUNS:
+        if len(known) < LEAST_RUNS or run in jumped:
             continue
         turning = np.exp(0.5j * (heading[1:] + heading[:-1]))
         by_wheels = np.append(0.0, np.cumsum(np.diff(way) * turning))
@@ -103,3 +108,65 @@ def mirrored_path(campaign: Campaign) -> Iterator[Note]:
             and left turns positive; check the signs of ref_y_m and ref_theta_rad, or whether x and y are exchanged;
             'calib geometry' says which"""
         yield column_note("ref_x_m, ref_y_m, ref_theta_rad", text, "mirrored_path", of="logs")
+
+
+#: steps into which a log is thinned
+_STEPS: Final = 50
+#: largest turn in a step whose chord counts as its length
+_STRAIGHT_RAD: Final = 0.3
+#: width over length: above, a path covers an area; below, it is a line
+_AREA, _LINE = 0.2, 0.02
+#: relative scatter of reference over wheels: 0.5 where an axis is missing
+_UNEVEN: Final = 0.2
+#: plausible ratio of reference to wheels; wrong counts alone make less of it
+_MOST_RATIO, _LEAST_RATIO = 3.0, 0.02
+
+
+def implausible_paths(campaign: Campaign) -> Iterator[Note]:
+    """Yield positions in another unit or on a line, and two wheels with the same counts."""
+    campaign = checks.on_axle(campaign)
+    ratios, lines, alike = np.full(len(campaign.runs), np.nan), [], []
+    columns = ("ref_x_m", "ref_y_m", "counts_left", "counts_right")
+    for run, log in campaign.logs.each(2, *columns):
+        x, y, left, right = (log[name] for name in columns)
+        known = np.flatnonzero(np.isfinite(x + y + left + right))
+        if len(known) < checks.LEAST_RUNS:
+            continue
+        at = known[:: 1 + len(known) // _STEPS]
+        position, turned = (x + 1j * y)[at], checks.turned_rad(campaign, left[at], right[at])
+        wheels = np.diff([checks.rolled_m(campaign, side, log[f"counts_{side}"][at]) for side in checks.SIDES])
+        rolled = wheels.mean(axis=0)
+        # on the spot the reference moves, not the axle
+        straight = (np.abs(np.diff(turned)) < _STRAIGHT_RAD) & (np.abs(rolled) > 0.5 * np.abs(wheels).max())
+        ratio = np.abs(np.diff(position)[straight] / rolled[straight])
+        ratios[run] = np.median(ratio) if straight.any() else np.nan
+        length, width = _length_and_width(position)
+        alike += [bool((left == right)[known].all())] if width > _AREA * length and rolled.any() else []
+        # on a bent path a missing axis shows as an uneven ratio
+        long, wide = _length_and_width(np.cumsum(rolled * np.exp(0.5j * (turned[1:] + turned[:-1]))))
+        if wide > _AREA * long and straight.any() and np.std(ratio) > _UNEVEN * np.mean(ratio):
+            lines.append(width < _LINE * length)
+    for names, odd, what, hint in (
+        ("ref_x_m, ref_y_m", lines, "positions on a line", "is one the vertical axis, or both one column?"),
+        ("counts_left, counts_right", alike, "the same counts of both wheels", "are both one column?"),
+    ):
+        if sum(odd) >= max(checks.LEAST_RUNS, checks.MOST_OF_THE_RUNS * len(odd)):
+            text = f"found {what} in {sum(odd)} runs that turn; expected each its own; {hint}"
+            yield checks.implausible_column(names, text, of="logs")
+            return
+    stated = all(checks.stated(campaign, key) for key in ("vehicle.wheel_radius_m", "encoder.counts_per_rev"))
+    known = ratios[np.isfinite(ratios)]
+    ratio = float(np.median(known)) if stated and len(known) >= checks.LEAST_RUNS else 1.0
+    texts = []
+    if ratio > _MOST_RATIO or 0.0 < ratio < _LEAST_RATIO:
+        hint = position_unit_hint(ratio, "check their unit, wheel_radius_m and counts_per_rev")
+        texts = [f"positions along the path move {ratio:.3g} times as far as the wheels; expected as far; {hint}"]
+    for name, ratio in odd_sessions(campaign, ratios):
+        moved = f"positions along the path move {ratio:.3g} times as far as in most runs"
+        texts.append(f"in session {name} {moved}; {position_unit_hint(ratio, factor_reason(ratio))}")
+    for text in texts:
+        yield checks.implausible_column("ref_x_m, ref_y_m", text, of="logs")
+
+
+def _length_and_width(path: ComplexArray) -> FloatArray:
+    return np.linalg.svd((path - path.mean()).view(np.float64).reshape(-1, 2), compute_uv=False)

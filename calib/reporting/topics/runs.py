@@ -37,7 +37,8 @@ def check_content(report: CheckReport) -> tuple[Block, ...]:
     ]
     for title, notes in (("Recognised", report.info), ("Suspicious", report.suspicious), ("Wrong", report.wrong)):
         if notes:
-            content += [reporting.Heading(f"{title} ({len(notes)})"), *items(_grouped(notes))]
+            number = len({note.text for note in notes})
+            content += [reporting.Heading(f"{title} ({number})"), *items(_grouped(notes))]
     return (*content, _verdict(report))
 
 
@@ -80,7 +81,10 @@ def _grouped(notes: Sequence[Note]) -> list[str]:
             continue
         runs = list(dict.fromkeys(note.run_id for note in same if note.run_id))
         where = same[0].where
-        if len(same) > 1:
+        heads, columns = zip(*(note.where.partition(", column ")[::2] for note in same), strict=True)
+        if len(same) > 1 and not runs and len({*heads}) == 1 and all(columns):
+            where = f"{heads[0]}, columns {', '.join(columns)}"
+        elif len(same) > 1:
             shown = runs or list(dict.fromkeys(note.where for note in same))
             where = f"{plural(len(shown), 'run' if runs else 'place')}, {listed(shown, MAX_RUNS)}"
         elif runs:
@@ -91,7 +95,7 @@ def _grouped(notes: Sequence[Note]) -> list[str]:
 
 
 def _verdict(report: CheckReport) -> Notice:
-    wrong, suspicious = len(report.wrong), len(report.suspicious)
+    wrong, suspicious = (len({note.text for note in of}) for of in (report.wrong, report.suspicious))
     if report.verdict == "wrong":
         return Notice("bad", f"Wrong: {plural(wrong, 'fault')}", "Correct what is named before you compute anything.")
     if report.verdict == "look at this":

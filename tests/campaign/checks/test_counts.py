@@ -12,12 +12,12 @@ from calib.campaign.checks.counts import (
     clock,
     count_jumps,
     dead_counters,
-    implausible_paths,
     interrupted_counts,
     log_speed,
     reversed_wheels,
     turn_direction,
 )
+from calib.campaign.checks.paths import implausible_paths
 from calib.campaign.model import Logs
 from calib.campaign.read import read_campaign
 from tests.campaign.making import campaign, with_log_columns, with_numbers
@@ -32,11 +32,11 @@ def test_a_jump_of_a_whole_counter_is_named_as_its_overflow() -> None:
     part = slice(made.logs.offsets[3], made.logs.offsets[4])
     counts[part] -= 65536.0 * (np.arange(part.stop - part.start) > 700)
     (found,) = count_jumps(with_log_columns(made, counts_left=counts))
-    assert "first in sample 702 by -65" in found.text
+    assert "a 16-bit counter overflows in 1 run(s) (" in found.text
     assert "give encoder.wrap_bits = 16" in found.text
     counts[part] += 30000.0 * (np.arange(part.stop - part.start) > 700)
     (found,) = count_jumps(with_log_columns(made, counts_left=counts))
-    assert "wrap_bits" not in found.text
+    assert "wrap_bits" not in found.text and "first in sample 702 by -35" in found.text
 
 
 def test_counts_that_overflow_show_no_turn_the_other_way() -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.campaign.checks.counts import implausible_paths
+from calib.campaign.checks.paths import implausible_paths
 from calib.campaign.checks.poses import implausible_poses
 from calib.campaign.model import Campaign
 from tests.campaign.making import with_numbers
