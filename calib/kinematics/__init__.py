@@ -13,8 +13,7 @@ from calib.campaign.read import GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
-from calib.kinematics.drives import Steps
-from calib.kinematics.path import moved_between
+from calib.kinematics.drives import Steps, moved_between
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, since_start, unwrapped
 
 #: why a run with positions alone may not be used

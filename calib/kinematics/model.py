@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.errors import RefusedError
 from calib.kinematics import Recording, drives, parts_seen
-from calib.kinematics.path import Path, displacement, integrate_motion, moved_between
+from calib.kinematics.drives import Path, integrate_motion, moved_between
 from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 #: windows as parts of a block: whole, half, quarter
@@ -196,7 +196,7 @@ class Model:
         at_times = _at_times(path, self.recording, self.segments, float(values[-1]), by_drive=by_drive)
         pose, by_parameter, (first, *others) = at_times
         n_drive = len(by_parameter) - 1
-        moved = (displacement(pose, by_parameter, first, other) for other in others)
+        moved = (_displacement(pose, by_parameter, first, other) for other in others)
         seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
         by_gyro = np.zeros((len(seen), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
@@ -274,6 +274,19 @@ def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, hi
     before, after = np.maximum(at - 2, low), np.minimum(at + 3, high)
     span = t_s[after] - t_s[before]
     return (pose[..., after] - pose[..., before]) / np.where(span > 0.0, span, np.inf)
+
+
+def _displacement(
+    pose: FloatArray, by_parameter: FloatArray, first: IntArray, last: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    # with derivatives, (n_segments, 3, n_parameters), by those of the poses, (n_parameters, 3, n)
+    moved = moved_between(pose, first, last)
+    cosine, sine = np.cos(pose[2, first]), np.sin(pose[2, first])
+    d_delta = by_parameter[:, :, last] - by_parameter[:, :, first]
+    d_start = by_parameter[:, 2][:, first]
+    d_forward = cosine * d_delta[:, 0] + sine * d_delta[:, 1] + moved[:, 1] * d_start
+    d_left = cosine * d_delta[:, 1] - sine * d_delta[:, 0] - moved[:, 0] * d_start
+    return moved, np.stack([d_forward, d_left, d_delta[:, 2]]).transpose(2, 0, 1)
 
 
 def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtri
 
-from calib.kinematics.drives import Parameters
+from calib.kinematics.drives import Parameters, Path
 from calib.kinematics.model import Model, Prediction, Segments
-from calib.kinematics.path import Path
 from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray, IntArray
 
 #: variances of a displacement's covariance: of the reference's position and heading (m^2, rad^2), of the random walks
