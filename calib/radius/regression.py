@@ -300,21 +300,12 @@ def fit_wheel(
     influence = ols.get_influence()
     with np.errstate(divide="ignore", invalid="ignore"):
         cook = np.nan_to_num(influence.cooks_distance[0], nan=0.0, posinf=0.0)
-    return WheelFit(
-        wheel=wheel,
-        design=design,
-        reference_load_N=reference_load_N,
-        estimate=estimate,
-        naive=naive,
-        r_squared=float(ols.rsquared) if naive and ols.centered_tss > 0 else 0.0,
-        residual_std_m=float(np.sqrt(ols.mse_resid)),
-        load_N=load,
-        radius_m=radius,
-        residual_m=radius - estimate.coefficients[0] - estimate.coefficients[1] * x,
-        leverage=np.asarray(influence.hat_matrix_diag),
-        cook=np.asarray(cook),
-        autocorrelation=autocorrelation,
-    )
+    fitted = design, reference_load_N, estimate, naive
+    r_squared = float(ols.rsquared) if naive and ols.centered_tss > 0 else 0.0
+    residual = radius - estimate.coefficients[0] - estimate.coefficients[1] * x
+    runs = load, radius, residual, np.asarray(influence.hat_matrix_diag), np.asarray(cook)
+    std_m = float(np.sqrt(ols.mse_resid))
+    return WheelFit(wheel, *fitted, r_squared, std_m, *runs, autocorrelation=autocorrelation)
 
 
 def least_squares(x: FloatArray | None, y: FloatArray) -> "RegressionResults":
@@ -330,10 +321,8 @@ def independent_line(ols: "RegressionResults", x: FloatArray | None = None) -> L
     `x` (shape (n_runs,)): load minus reference load, for HC3 where the scatter clearly depends on it; None: never HC3.
     """
     hc3 = x is not None and needs_hc3(ols.resid, x, ols.df_resid)
-    covariance = ols.cov_HC3 if hc3 else ols.cov_params()
-    return LineEstimate.one_stratum(
-        "single", ols.params, covariance, float(ols.df_resid), float(ols.mse_resid), hc3=bool(hc3)
-    )
+    covariance, dof = ols.cov_HC3 if hc3 else ols.cov_params(), float(ols.df_resid)
+    return LineEstimate.one_stratum("single", ols.params, covariance, dof, float(ols.mse_resid), hc3=bool(hc3))
 
 
 def paired_law(left: WheelFit, right: WheelFit, groups: Groups) -> RadiusLaw:
