@@ -48,14 +48,11 @@ def estimate_geometry(
     leave_out: Literal["session", "kind", "run_id"] | None = None,
     progress: Progress = silent,
 ) -> Geometry:
-    """Estimate a drive's parameters together with the reference's sensor.
+    """Estimate a drive's parameters together with the reference's sensor; see `calib.api.results.geometry`.
 
-    Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
-
-    For parameters see `calib.api.results.geometry`. Without `using` it takes windows where the reference follows the
-    vehicle along the path, end poses where it does not, and where eight runs or more have one and windows do not fit.
-    `sensor`: estimate the sensor's pose on the vehicle and its delay; None: with windows, and of end poses where it
-    takes that to explain them.
+    Without `using`: windows where the reference follows the path, else end poses, also where eight runs or more have
+    one and windows do not fit. `sensor`: estimate the sensor's place and delay; None: with windows, and where end poses
+    need it. Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
     """
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)

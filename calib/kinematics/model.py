@@ -93,11 +93,11 @@ def end_pose_segments(recording: Recording) -> Segments:
 
 
 def window_segments(recording: Recording, blocks: int) -> Segments:
-    """Return windows of three lengths, nested in blocks of equal travel.
+    """Return windows of three lengths, overlapping by half, nested in blocks of equal travel.
 
-    `blocks`: into about how many all runs together are cut; a run is one at least. Shorter windows overlap by half. Of
-    positions alone every window begins where its run does, with heading zero; in a map its direction is that of the
-    chord about its start. Raises RefusedError where the reference follows the vehicle nowhere.
+    `blocks`: about how many of all runs; a run is one at least. Of positions alone windows begin where the run does,
+    with heading zero; in a map the chord about their start is their direction. Raises RefusedError where the reference
+    follows the vehicle nowhere.
     """
     travel = recording.travel_rad
     ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
@@ -190,7 +190,7 @@ class Model:
     def predict(self, values: FloatArray, *, path: Path | None = None, by_drive: bool = True) -> Prediction:
         """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known.
 
-        Without `by_drive` the derivatives are those by the sensor's parameters and the delay alone.
+        Without `by_drive` derivatives are by sensor and delay alone.
         """
         path = path or integrate_motion(self.motion(values))
         at_times = _at_times(path, self.recording, self.segments, float(values[-1]), by_drive=by_drive)
@@ -317,10 +317,7 @@ def _parts(place: ComplexArray, turn: FloatArray) -> FloatArray:
 
 
 def replicates(whole: Model, way_m: FloatArray, load_width_N: float | None = None) -> IntArray:
-    """Return the group of replicates of each segment, shape (n,): alike in motion by the wheels.
-
-    With `load_width_N` in speed and, to so much, in load, too.
-    """
+    """Return each segment's group of replicates, shape (n,): of like motion; with `load_width_N` in speed, load too."""
     by_wheels = whole.segments.measured - whole.residuals(drives.nominal_values(whole.drive))
     steps, lapse_s = whole.recording.steps, np.maximum(np.diff(whole.recording.t_s, prepend=0.0), 1e-3)
     rolled = np.abs(steps.turned_rad).mean(axis=0)

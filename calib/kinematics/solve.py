@@ -24,10 +24,9 @@ POWER: Final = 0.9
 
 
 def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) -> FloatArray:
-    """Return each displacement's covariance for unit components.
+    """Return each displacement's covariance for unit `COMPONENTS`, (4, n, 3, 3), in the sensor's frame at its start.
 
-    `body` (shape (3, n_samples)): motion in each step; `yaw_rad`: of the sensor on the vehicle. Shape (4, n, 3, 3):
-    in the order of `COMPONENTS`, in the sensor's frame at the start of the stretch.
+    `body` (shape (3, n_samples)): motion in each step; `yaw_rad`: of the sensor on the vehicle.
     """
     n = len(segments)
     kernel = np.zeros((len(COMPONENTS), n, 3, 3))
