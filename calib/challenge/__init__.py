@@ -265,9 +265,8 @@ Achieved = dict[str, float | None]
 def achieved(diagnosis: Diagnosis, fresh: Campaign, exclude: tuple[str, ...]) -> Achieved | None:
     """Return the gap of a fresh campaign under the model alone and under the fix, not refitted.
 
-    ``before_rms_m``, ``after_rms_m`` are of the end position (else of the distance), those ``over_floor`` of all
-    channels over their noise, ``fraction`` of whitened squares. None where the verdict names no cause, or a form of its
-    causes cannot be had there.
+    ``..._rms_m`` are of the end position (else the distance), ``..._over_floor`` of all channels over their noise,
+    ``fraction`` of whitened squares. None where no cause is named, or a form of one cannot be had there.
     """
     if not diagnosis.causes:
         return None

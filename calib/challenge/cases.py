@@ -178,8 +178,8 @@ def ceiling_of(
 ) -> Ceiling | None:
     """Return the ceiling of a campaign of equally likely effects, or of one of them; None where nothing is left.
 
-    `signatures`: see `calib.plant.signal.signatures`; `signal`: norm of the true effect; `true`: the effect, and what
-    it leaves in this case (n_rows,): how often the same rule names it; exact aliases share.
+    `signatures`: of `calib.plant.signal`; `signal`: norm of the true effect; `true`: the effect, and what it leaves
+    here (n_rows,): how often the rule names it; exact aliases share.
     """
     if true is not None and true[0] not in signatures:
         signatures = {**signatures, true[0]: [true[1][:, None]]}

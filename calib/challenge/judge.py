@@ -103,8 +103,8 @@ class Judged:
 def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     """Hold the JSON of a verdict (None: there is none) against the truth.
 
-    Right is: nothing, for an empty case; the effect first, or both of two; ``unknown`` or ``partly_explained`` for one
-    outside the library; truth and alias in a group; for a deleted one an effect nearer than `RESOLVED_SIGMAS`.
+    Right is: nothing, for an empty case; the effect first, or both of two; of one outside the library `LEFT_OPEN`, of a
+    deleted one also an effect nearer than `RESOLVED_SIGMAS`; truth and alias in a group.
     """
     recipe = truth.recipe
     answer: Mapping[str, Any] = verdict if verdict is not None else {"verdict": "missing"}

@@ -75,9 +75,9 @@ class _Candidate:
 def plants_of(
     diagnosis: Diagnosis, replay: Replay, wanted: Sequence[str], sizes: Sequence[Size], rng: np.random.Generator
 ) -> tuple[list[Plant], dict[str, str]]:
-    """Return what is planted, and the reason of what is not; see `Plant`.
+    """Return what is planted, and why others are not.
 
-    `wanted`: effects and outside causes, empty: all that can show; BadInputError where one is unknown.
+    `wanted`: effects and outside causes, empty: all; BadInputError where one is unknown.
     """
     candidates, left_out = _candidates(diagnosis, replay, rng)
     known = {*left_out, *(candidate.effect for candidate in candidates)}

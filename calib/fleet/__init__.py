@@ -112,8 +112,7 @@ def familywise(p_values: FloatArray, chance: float = FALSE_CHANCE) -> BoolArray:
 def moderated(variance: FloatArray, dof: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return wheels' variances shrunk towards the fleet's, and their degrees of freedom (Smyth 2004).
 
-    The prior's degrees of freedom are two standard errors low, and no variance falls below its own: one wheel may
-    scatter as no other.
+    The prior's are two standard errors low, and no variance falls: one wheel may scatter as no other.
     """
     n, half = len(dof), 0.5 * dof
     if n < 2 * FEWEST_COMPARED:

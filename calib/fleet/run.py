@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import stdtr, stdtrit
 
 from calib import fleet
 from calib.campaign import run_table
@@ -47,11 +48,10 @@ def _sums_of_part(part: Part, settings: dict[Path, Campaign], keys: Keys) -> Par
     day = np.where(np.isfinite(days), days, 0.0 if part.day is None else part.day)
     reference, nominal = campaign.model.reference_load_N, campaign.vehicle.wheel_radius_m
     session = np.where(radii.session == "", part.name, radii.session)
-    columns = ((radii.load_left_N, radii.radius_left_m), (radii.load_right_N, radii.radius_right_m))
-    sums = [
-        WheelSums.from_runs(session, load - reference, radius - nominal, day, radius / radii.distance_m)
-        for load, radius in columns
-    ]
+    sums = []
+    for load, radius in ((radii.load_left_N, radii.radius_left_m), (radii.load_right_N, radii.radius_right_m)):
+        reach = radius / radii.distance_m
+        sums.append(WheelSums.from_runs(session, load - reference, radius - nominal, day, reach))
     wheels = list(zip(fit.wheels.values(), sums, strict=True)) if fit else []
     if any(wheel.model != "line" for wheel, _ in wheels):
         wheels = []
@@ -93,11 +93,10 @@ class Fleet:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
         outliers = {outlier.vehicle: outlier.why for outlier in self.view.outliers}
-        vehicles = [
-            record.to_dict()
-            | {"outlier": record.vehicle in outliers, "why": record.why or outliers.get(record.vehicle, "")}
-            for record in self.records
-        ]
+        vehicles = []
+        for one in self.records:
+            why = {"outlier": one.vehicle in outliers, "why": one.why or outliers.get(one.vehicle, "")}
+            vehicles.append(one.to_dict() | why)
         head = {"format": "calib-fleet/1", "simulated": self.simulated}
         return {**head, "vehicles": vehicles, "fleet": plain(self.view)}
 
@@ -186,8 +185,6 @@ def drifts_of(fitted: Sequence[VehicleRecord]) -> list[tuple[VehicleRecord, str,
 
 
 def _drifting(fitted: Sequence[VehicleRecord]) -> tuple[DriftingVehicle, ...]:
-    from scipy.special import stdtr, stdtrit
-
     lines = drifts_of(fitted)
     p = np.array([2.0 * stdtr(drift.dof, -abs(drift.per_day_m) / drift.std_m) for _, _, drift in lines])
     drifting: dict[str, DriftingVehicle] = {}
@@ -220,7 +217,7 @@ class Survey:
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain JSON values."""
         vehicles = [{"id": one.name, "status": one.status, **one.values, "why": one.why} for one in self.records]
-        failed = sum(record.status == "failed" for record in self.records)
+        failed = sum(bool(one.why) for one in self.records)
         shown = {"n_vehicles": len(self.records), "n_failed": failed, "shared": plain(self.shared)}
         shown |= {} if self.quantities is None else plain(self.quantities)
         head = {"format": "calib-fleet/1", "what": self.what, "simulated": self.simulated}
@@ -249,15 +246,16 @@ def survey_fleet(
 
 
 def _results(what: str, members: Sequence[Member]) -> list[Kept]:
-    results, keys = [], Keys()
+    kept, keys = [], Keys()
     for member in members:
         key = ""
         try:
             key = keys.of(member)
-            results.append(VehicleResult(member.vehicle, key, TASKS[what](member)))
+            result = VehicleResult(member.vehicle, key, TASKS[what](member))
         except (CalibError, OSError) as error:
-            results.append(VehicleResult(member.vehicle, key, why=one_line(error)))
-    return list(map(Kept.of, results))
+            result = VehicleResult(member.vehicle, key, why=one_line(error))
+        kept.append(Kept.of(result))
+    return kept
 
 
 def _quantities(records: Sequence[VehicleResult], labels: Labels) -> Quantities | None:

@@ -10,6 +10,7 @@ from functools import reduce
 from typing import Any, Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from calib.radius import RHO_BELOW_P, RHO_MIN_DOF, line_of_strata, rho_of
 from calib.radius.effective import SystematicSource, systematic_shift
@@ -39,9 +40,8 @@ class PartSums:
         """Return what was kept."""
         sources = [SystematicSource(**{**one, "dof": one["dof"] or np.inf}) for one in value["sources"]]
         lines = [WheelLine(**{**one, "drift": one["drift"] and Drift(**one["drift"])}) for one in value["lines"]]
-        return PartSums(
-            **{**value, "sums": [*map(WheelSums.from_dict, value["sums"])], "sources": sources, "lines": lines}
-        )
+        sums = [*map(WheelSums.from_dict, value["sums"])]
+        return PartSums(**{**value, "sums": sums, "sources": sources, "lines": lines})
 
 
 @dataclass(frozen=True)
@@ -142,11 +142,9 @@ def _line(side: str, sums: "WheelSums", part: PartSums) -> WheelLine | None:
     of_radius = _least_squares(n, x, y + n * part.radius_m, xx, xy + x * part.radius_m)
     lines = (of_radius, _least_squares(n, x, sums.whole[6], xx, sums.whole[7]))
     rows = [systematic_shift(one, side, part.reference_load_N, slope, *lines) for one in part.sources]
-    dof = np.array([one.dof for one in part.sources])
-    estimate = replace(
-        estimate, coefficients=np.array([radius, slope]), systematic=np.array(rows).reshape(-1, 2), systematic_dof=dof
-    )
-    return WheelLine.of(estimate, rho, sums)
+    systematic, dof = np.array(rows).reshape(-1, 2), np.array([one.dof for one in part.sources])
+    line = replace(estimate, coefficients=np.array([radius, slope]), systematic=systematic, systematic_dof=dof)
+    return WheelLine.of(line, rho, sums)
 
 
 def _drift(sums: "WheelSums", slope: float) -> Drift | None:
@@ -255,8 +253,6 @@ class _Blocks:
 
 def widened(estimate: LineEstimate, sums: WheelSums) -> tuple[LineEstimate, float]:
     """See `calib.radius.widened`."""
-    from scipy.special import ndtr
-
     blocks = _blocks_of(estimate, sums)
     if blocks is None:
         return estimate, 0.0
@@ -328,9 +324,8 @@ def _plain(sums: WheelSums) -> LineEstimate | None:
     info = xx - x * x / n
     if n < 3 or not info > ROUNDING * max(xx, 1.0):
         return None
-    coefficients = _least_squares(n, x, y, xx, xy)
+    coefficients, mean = _least_squares(n, x, y, xx, xy), x / n
     variance = max(yy - y * y / n - coefficients[1] * (xy - x * y / n), 0.0) / (n - 2)
-    mean = x / n
     covariance = variance * (np.array([[mean**2, -mean], [-mean, 1.0]]) / info + np.diag([1.0 / n, 0.0]))
     return LineEstimate.one_stratum("single", coefficients, covariance, float(n - 2), float(variance))
 

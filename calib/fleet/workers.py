@@ -116,8 +116,8 @@ class Engine:
     ) -> Iterator[Result]:
         """Run a task on all items and yield results as they come, one an item.
 
-        Items of a dead worker are tried again one by one. `task`: a module's function; `given_up`: makes the result of
-        an item that ended its worker twice; `weigh`: work of an item.
+        Items of a dead worker are tried again one by one. `task`: a module's function; `given_up`: gives the result of
+        an item that ended two; `weigh`: work of an item.
         """
         smallest, largest = self.batch
         suspects: list[Item] = []

@@ -13,8 +13,7 @@ from calib.campaign.read import GYRO_TURN, poses_are_in_a_map
 from calib.campaign.settings import WHEEL_LOADS
 from calib.campaign.wheels import STEERED, WHEEL_COLUMNS, counts_per_rev, smoothed_speed_mps
 from calib.errors import RefusedError
-from calib.kinematics.drives import Steps
-from calib.kinematics.path import moved_between
+from calib.kinematics.drives import Steps, moved_between
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, since_start, unwrapped
 
 #: why a run with positions alone may not be used
@@ -112,8 +111,8 @@ class Recording:
     def with_whole_turns(self, turn_rad: FloatArray) -> "tuple[Recording, list[str]]":
         """Return the recording with whole turns added to end headings, and the few runs that were off.
 
-        Headings all stated within half a turn get the turns of the wheels, `turn_rad` (shape (n_samples,)), or of a
-        reference followed along the path. The run of one lost in a turn is not named.
+        Headings within half a turn get the turns of the wheels, `turn_rad` (shape (n_samples,)), or of a reference
+        followed along the path; a run where that is lost is not named.
         """
         end_pose, (turn_rad, lost) = self.end_pose.copy(), self._turns_followed(turn_rad)
         heading = end_pose[:, 2]
@@ -145,10 +144,7 @@ class Recording:
         return turned, lost
 
     def refuse_constant_heading(self, turn_rad: FloatArray) -> None:
-        """Raise RefusedError where every heading is the same, although the wheels turn.
-
-        `turn_rad` (shape (n_samples,)): turn in each step by the wheels.
-        """
+        """Raise RefusedError where every heading is the same, although the wheels turn by `turn_rad`, (n_samples,)."""
         headings = np.concatenate([self.reference[2], self.end_pose[:, 2]])
         headings = headings[np.isfinite(headings)]
         turned = float(np.max(np.abs(np.add.reduceat(turn_rad, self.offsets[:-1])), initial=0.0))
@@ -205,11 +201,10 @@ MANY_POSES: Final = 20
 
 
 def recording_of(campaign: Campaign, source: str, *, planned: bool = False) -> Recording:
-    """Return wheels and reference of the runs that are not excluded.
+    """Return wheels and reference of the runs that are not excluded, straight ones also with end counts alone.
 
-    `campaign`: with logs; a straight run may have its end counts alone; `source` (one of `WHEEL_COLUMNS`): which
-    wheels drive the odometry; `planned`: repeats are alike, and none a copy. Raises RefusedError where no run has both
-    wheels and a reference.
+    `source`: one of `WHEEL_COLUMNS`; `planned`: repeats are alike, none a copy. Raises RefusedError where no run has
+    both wheels and a reference.
     """
     campaign = campaign.included()
     per_rev = np.array(counts_per_rev(campaign.encoder, source))

@@ -101,10 +101,7 @@ class Residuals:
 
 
 def judge(residuals: Residuals, what: str = "position", unit: str = "mm") -> tuple[GeometryVerdict, tuple[str, ...]]:
-    """Return whether a result is to be used, and why not.
-
-    `what`, `unit`: for the sentence; a residual times 1000 is in `unit`.
-    """
+    """Return whether a result is to be used, and why not; `unit`: of a residual times 1000."""
     sizes = (residuals.before, residuals.after, residuals.held_out, residuals.expected)
     words = (f"{few_digits(1e3 * value)} {unit}" if math.isfinite(value) else "an unknown part" for value in sizes)
     before, after, held_out, noise = words
@@ -170,11 +167,11 @@ def judged(
     Parameters
     ----------
     campaign, fitted
-        The first states the noise of the reference.
+        The first states the reference's noise.
     whole
-        Whole runs, or the longest windows: where position errors are taken.
+        Whole runs, or the longest windows.
     faults, outliers
-        Blunders recognised; runs that noise cannot explain, which take no part.
+        Blunders; runs that noise cannot explain, which take no part.
     """
     used, seen = _used(whole, outliers) & ~bad_windows(fitted, whole), whole.segments.seen
     after = np.where(seen, whole.residuals(fitted.solution.values), 0.0)
@@ -251,7 +248,7 @@ def _used(whole: Model, outliers: Sequence[str]) -> BoolArray:
 
 
 def bad_windows(fitted: Fitted, whole: Model) -> BoolArray:
-    """Return the windows that noise cannot explain, where they are few: single poses of a tracker are off."""
+    """Return the windows that noise cannot explain, where few: single poses of a tracker are off."""
     longest = fitted.model.segments.level == 0
     if whole.segments.are_runs_of(whole.recording) or longest.sum() != len(whole.segments):
         return np.zeros(len(whole.segments), dtype=np.bool_)
@@ -261,14 +258,14 @@ def bad_windows(fitted: Fitted, whole: Model) -> BoolArray:
 
 
 def travelled(model: Model, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return way in m and rotation in rad of each segment, shape (n,); a radian on the spot is a tenth of a metre."""
+    """Return each segment's way in m, a radian counted as 0.1, and rotation in rad, shape (n,)."""
     body = model.motion(values).body
     turn = np.abs(body[2])
     return model.segments.between(np.hypot(body[0], body[1]) + 0.1 * turn), model.segments.between(turn)
 
 
 def rms(residuals: FloatArray) -> float:
-    """Return the root mean square of residuals (n, n_channels), channels together."""
+    """Return the root mean square of residuals (n, n_channels) together."""
     return float(np.sqrt(np.mean(np.square(residuals).sum(axis=1)))) if len(residuals) else 0.0
 
 

@@ -22,10 +22,10 @@ from calib.errors import BadInputError
 from calib.kinematics import Recording, recording_of
 from calib.kinematics.adequacy import LENGTHS_ALONE, OUTLIER_CHANCE, bad_windows, judged
 from calib.kinematics.blunders import Fault, corrected, of_gyro, still_counters
+from calib.kinematics.departures import noise_sizes
 from calib.kinematics.drives import GYRO_SCALE, GYRO_SCALE_STD, NOMINAL_STD, SENSOR, Drive, first_scales, parameters_of
 from calib.kinematics.joint_fit import LONGEST_STEP_S, MEAN_RADIUS, Fitted, drive_of, fit_parameters
 from calib.kinematics.model import Model, Prediction, Segments, end_pose_segments, window_segments
-from calib.kinematics.noise import noise_sizes
 from calib.kinematics.readings import factor_faults
 from calib.kinematics.result import Channels, Estimate, Geometry, RouteResidual, RunTrace, Umbmark
 from calib.kinematics.solve import COMPONENTS, Solution
@@ -46,9 +46,9 @@ def _route_table(
 
 
 def of_kinds(campaign: Campaign, kinds: Iterable[str]) -> Campaign:
-    """Return the campaign with the runs of some kinds of routes; of all where none is named.
+    """Return the campaign with the runs of some kinds, labels in its column ``kind``; all where none is named.
 
-    `kinds`: labels in its column ``kind``. Raises BadInputError where no run has such a label.
+    Raises BadInputError where no run has such a label.
     """
     wanted, kind = set(kinds), campaign.runs.label("kind")
     if not wanted:
@@ -232,7 +232,7 @@ class Promise:
 def promised(campaign: Campaign, scales: FloatArray | None = None) -> Promise:
     """Return what the end poses of planned runs will tell of the geometry (Fisher information).
 
-    `scales`, shape (4,), are variances of the noise's components: by default the stated sigmas and small random walks.
+    `scales` (4,): variances of the noise's components; None: the stated sigmas, and small random walks.
     """
     if scales is None:
         scales, sigma = first_scales(campaign.reference), campaign.runs.number(GYRO_SIGMA)
@@ -255,9 +255,9 @@ FEWEST_SQUARES: Final = 2
 
 
 def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Return the mean side of each stretch that is a square, NaN of others, and whether it is counter-clockwise.
+    """Return the mean side of each stretch that is a square, else NaN, and whether it is counter-clockwise.
 
-    Third: share of its way along four directions at right angles; 0 where it does not turn round once.
+    Third: share of its way along four sides at right angles; 0 where it does not turn round once.
     """
     side, left = np.full(len(segments), np.nan), np.zeros(len(segments), dtype=np.bool_)
     share = np.zeros(len(segments))
@@ -278,9 +278,9 @@ def squares(prediction: Prediction, segments: Segments) -> tuple[FloatArray, Boo
 
 
 def umbmark(prediction: Prediction, calibrated: Prediction, segments: Segments, track_m: float) -> Umbmark:
-    """Return what the squares among whole runs say, from the residuals of the nominal vehicle.
+    """Return what the squares among whole runs say.
 
-    `prediction`: of the nominal vehicle; `calibrated`: its way shows which runs are squares; `track_m`: nominal.
+    `prediction`: of the nominal vehicle; `calibrated`: tells which runs are squares; `track_m`: nominal.
     """
     side, left, share = squares(calibrated, segments)
     square = np.isfinite(side) & segments.seen[:, :2].all(axis=1)
@@ -322,7 +322,7 @@ BLOCKS: Final = (40, 160, 640)
 
 
 def divisions(recording: Recording, using: str) -> Iterator[Segments]:
-    """Yield whole runs (``end_poses``), or ever finer windows, of many runs a block each first."""
+    """Yield whole runs (``end_poses``), or ever finer windows, first a block a run where they are many."""
     if using == "end_poses":
         yield end_pose_segments(recording)
         return

@@ -68,10 +68,7 @@ Corrected = tuple["Recording", tuple[Fault, ...]]
 
 
 def rear_faults(recording: "Recording", segments: "Segments") -> Corrected:
-    """Return the recording of two wheels with signs and sides corrected, and the fault.
-
-    The heading turns with the right wheel and against the left one, by regression.
-    """
+    """Return the recording with signs and sides of two wheels corrected, by regressing headings, and the fault."""
     twist, good = TWIST in recording.speeds, segments.seen[:, 2]
     slopes = _regression(segments.between(recording.steps.turned_rad)[:, good], segments.measured[good, 2])
     if slopes is None or slopes[0] < 0.0 < slopes[1]:
@@ -95,8 +92,8 @@ def rear_faults(recording: "Recording", segments: "Segments") -> Corrected:
 def sense(segments: "Segments", turn_rad: FloatArray, rolled: FloatArray, far: float = 0.0) -> float:
     """Return how far displacements point where the wheels rolled, from -1 (backwards) to 1.
 
-    `segments`: whose displacement was measured; `turn_rad`, `rolled` (shape (n_steps,)): turn in each step by the
-    measured headings, and the wheels' own way; a displacement is the part `far` of it at least.
+    `turn_rad`, `rolled` (shape (n_steps,)): turn in each step by the measured headings, and the wheels' way;
+    displacements below the part `far` of it do not count.
     """
     heading = np.cumsum(turn_rad)
     steps = rolled * np.exp(1j * (heading - 0.5 * turn_rad))
@@ -124,8 +121,8 @@ def _regression(turned: FloatArray, heading: FloatArray, tested: slice = slice(N
 def front_faults(recording: "Recording", segments: "Segments", radius_m: float, *, by_shaft: bool) -> Corrected:
     """Return the recording with steering zero and signs corrected, and what was wrong.
 
-    Of mirrored solutions of the same residual that with positive lengths is the vehicle's. `radius_m`: nominal;
-    `by_shaft`: the counter tells the rear axle's way.
+    `radius_m`: nominal; `by_shaft`: the counter tells the rear axle's way. Lengths are positive in the right one of two
+    mirrored solutions.
     """
     faults: list[Fault] = []
     steer, headed, rolled = recording.steps.steer_rad, segments.seen[:, 2], recording.steps.turned_rad[0]
@@ -162,8 +159,7 @@ def front_faults(recording: "Recording", segments: "Segments", radius_m: float, 
 def still_steering(steer_rad: FloatArray, rolled: FloatArray, turned_rad: FloatArray, run: IntArray) -> str:
     """Return what is wrong where the angle never moves but the curvature does; empty if right.
 
-    `steer_rad` (shape (n_steps,)): angle read; `rolled`, `turned_rad`, `run` (shape (n,)): what the wheel rolled over
-    each stretch, its measured turn and its run; stretches of one run follow each other.
+    `steer_rad` (shape (n_steps,)): as read; `rolled`, `turned_rad`, `run` (shape (n,)): of each stretch, run by run.
     """
     if not len(run) or not float(np.ptp(steer_rad)) <= STILL_RAD:
         return ""
@@ -221,10 +217,9 @@ def straight_reading_rad(
 
 
 def refuse_heading_unit(told_rad: FloatArray, measured_rad: FloatArray) -> None:
-    """Refuse a reference whose heading is not in radians.
+    """Raise RefusedError where a reference turns by pi / 180, or 180 / pi, of what the wheels say: no radians.
 
-    `told_rad`, `measured_rad` (shape (n,)): turns of stretches by the nominal wheels, and by the reference. Raises
-    RefusedError where the reference turns by pi / 180, or 180 / pi, of what the wheels say.
+    `told_rad`, `measured_rad` (shape (n,)): turns of stretches by the nominal wheels, and by the reference.
     """
     square = float(told_rad @ told_rad)
     if not len(told_rad) or square < len(told_rad) * TURNS_RAD**2:
@@ -255,8 +250,7 @@ LEAST_TURN_RAD: Final = 0.05
 def corrected(recording: "Recording", segments: "Segments", source: str, drive: "Drive") -> Corrected:
     """Return the recording with blunders of the wheels corrected, and these faults.
 
-    `source` (one of `WHEEL_COLUMNS`); `drive`: with its nominal values. Raises RefusedError where the reference's
-    heading is not in radians.
+    `source`: one of `WHEEL_COLUMNS`. Raises RefusedError where the reference's heading is not in radians.
     """
     faults: tuple[Fault, ...] | None = None
     if source in STEERED:
@@ -273,7 +267,7 @@ def corrected(recording: "Recording", segments: "Segments", source: str, drive: 
 def still_counters(recording: "Recording", told_rad: FloatArray) -> Iterator[Fault]:
     """Yield the counters that stand still in a run that does not turn about that wheel.
 
-    `told_rad` (shape (n_samples,)): turn in each step by wheels of fitted lengths: other units are no still wheel.
+    `told_rad` (shape (n_samples,)): turn in each step by fitted wheels, so that units do not matter.
     """
     names = recording.speeds or ("counts_left", "counts_right")
     step, after = recording.steps.turned_rad[:2, :-1], recording.steps.turned_rad[:2, 1:]
@@ -320,10 +314,7 @@ def times_fault(recording: "Recording") -> Fault | None:
 
 
 def wheels_faults(recording: "Recording", segments: "Segments", drive: "Drive") -> Corrected:
-    """Return the recording with the wheels' signs and sides corrected, and what was wrong.
-
-    `drive`: its nominal values tell which reading of the four columns fits the reference.
-    """
+    """Return the recording with the signs and sides of four wheels that fit the reference, and what was wrong."""
     turned, as_it_stands = recording.steps.turned_rad, _left(recording, segments, drive)[0]
     if as_it_stands < POOR:
         return recording, ()

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.campaign.settings import Reference
 from calib.campaign.wheels import lengthening
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray, in_frame
 
 #: on the true turn
 GYRO_SCALE: Final = "gyro_scale"
@@ -328,3 +328,72 @@ def rear_shaft(radius_m: float, wheelbase_m: float, steps: Steps, least_mps2: fl
 
 #: has its parameters with their nominal values, and the motion of the body at values of these, shape (n_parameters,)
 Drive = Differential | FrontWheel | Mecanum | RearShaft
+
+
+#: half turn of a step below which the derivative of sin(h)/h is its series; of all steps, where five terms are exact
+SMALL_RAD, SHORT_RAD = 1e-4, 0.1
+
+
+def _bend_of_chord(half: FloatArray) -> FloatArray:
+    # derivative of sin(h)/h
+    if np.abs(half).max(initial=0.0) >= SHORT_RAD:
+        near = np.abs(half) < SMALL_RAD
+        return np.where(near, -half / 3.0, (np.cos(half) - np.sinc(half / np.pi)) / np.where(near, 1.0, half))
+    total, square = np.ones_like(half), half * half
+    for divisor in (88.0, 54.0, 28.0, 10.0):
+        total *= square
+        total *= -1.0 / divisor
+        total += 1.0
+    return -half / 3.0 * total
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Path:
+    """Poses at the samples; runs continue one another."""
+
+    #: x and y in m, heading in rad, shape (3, n_samples)
+    pose: FloatArray
+    #: its steps
+    motion: Motion
+    #: cosine and sine of the heading in the middle of each step, shape (2, n_samples)
+    middle: FloatArray
+
+    def by_parameter(self, at: IntArray) -> FloatArray:
+        """Return derivatives of the poses `at` samples, ascending, shape (n_parameters, 3, len(at))."""
+        (x, y, _), (forward, left, turn) = self.pose, self.motion.body
+        cosine, sine = self.middle
+        along_x, along_y = forward * cosine - left * sine, forward * sine + left * cosine
+        ratio, bend = np.sinc(0.5 * turn / np.pi), 0.5 * _bend_of_chord(0.5 * turn)
+        # by parts, from the end: a turn takes all later chords along
+        half_ratio = 0.5 * ratio
+        by_turn_x, by_turn_y = bend * along_x - half_ratio * along_y + y, bend * along_y + half_ratio * along_x - x
+        cosine, sine = ratio * cosine, ratio * sine
+        first = np.append(0, at[:-1] + 1)
+
+        def until(values: FloatArray) -> FloatArray:
+            return np.cumsum(np.add.reduceat(values[: at[-1] + 1], first))
+
+        by_motion = self.motion.by_parameter()
+        by_parameter = np.empty((len(by_motion), 3, len(at)))
+        for (d_forward, d_left, d_turn), (d_x, d_y, d_theta) in zip(by_motion, by_parameter, strict=True):
+            step_x, step_y = by_turn_x * d_turn + cosine * d_forward, by_turn_y * d_turn + sine * d_forward
+            if d_left.any():
+                step_x, step_y = step_x - sine * d_left, step_y + cosine * d_left
+            d_theta[:] = until(d_turn)
+            d_x[:], d_y[:] = until(step_x) - y[at] * d_theta, until(step_y) + x[at] * d_theta
+        return by_parameter
+
+
+def integrate_motion(motion: Motion) -> Path:
+    """Integrate steps of constant twist: each is the chord of its arc, at the heading in its middle."""
+    forward, left, turn = motion.body
+    half, theta = 0.5 * turn, np.cumsum(turn)
+    middle = theta - half
+    cosine, sine, ratio = np.cos(middle), np.sin(middle), np.sinc(half / np.pi)
+    x, y = (forward * cosine - left * sine) * ratio, (forward * sine + left * cosine) * ratio
+    return Path(np.stack([np.cumsum(x), np.cumsum(y), theta]), motion, np.stack([cosine, sine]))
+
+
+def moved_between(pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return displacements from poses `first` to poses `last` in the frames of the former, shape (n, 3)."""
+    return in_frame(pose[:, last] - pose[:, first], pose[2, first])

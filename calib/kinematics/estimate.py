@@ -48,14 +48,11 @@ def estimate_geometry(
     leave_out: Literal["session", "kind", "run_id"] | None = None,
     progress: Progress = silent,
 ) -> Geometry:
-    """Estimate a drive's parameters together with the reference's sensor.
+    """Estimate a drive's parameters together with the reference's sensor; see `calib.api.results.geometry`.
 
-    Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
-
-    For parameters see `calib.api.results.geometry`. Without `using` it takes windows where the reference follows the
-    vehicle along the path, end poses where it does not, and where eight runs or more have one and windows do not fit.
-    `sensor`: estimate the sensor's pose on the vehicle and its delay; None: with windows, and of end poses where it
-    takes that to explain them.
+    Without `using`: windows where the reference follows the path, else end poses, also where eight runs or more have
+    one and windows do not fit. `sensor`: estimate the sensor's place and delay; None: with windows, and where end poses
+    need it. Raises RefusedError where no run has wheels and a reference, or nothing can be determined.
     """
     campaign = of_kinds(campaign, kinds)
     source = odometry_source(campaign)
@@ -87,14 +84,12 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
     with suppress(RefusedError):
         codes = {fault.code for fault in by_windows.faults}
         trusted = by_windows.passed or UNSEEN & codes or (codes - OF_CLOCKS and not by_windows.misfit)
-        return by_windows if trusted else _told_by(by_windows, estimated("end_poses"))
+        if not trusted:
+            ends, verdict = estimated("end_poses"), by_windows.verdict.value
+            by = f"By windows of the recordings the result is {verdict}: "
+            # what windows show, such as a clock or a sensor that was moved, hardly shows at ends
+            return replace(ends, notes=(*ends.notes, *(f"{by}{why.rstrip('.')}." for why in by_windows.why[:1])))
     return by_windows
-
-
-def _told_by(windows: Geometry, ends: Geometry) -> Geometry:
-    # what windows show, such as a clock or a sensor that was moved, hardly shows at ends
-    by = f"By windows of the recordings the result is {windows.verdict.value}: "
-    return replace(ends, notes=(*ends.notes, *(f"{by}{why.rstrip('.')}." for why in windows.why[:1])))
 
 
 def _estimated(task: "_Task", recording: Recording, by_windows: Callable[[], "_Fit"], *, asked: bool) -> Geometry:
@@ -169,7 +164,8 @@ def _fitted(task: _Task, recording: Recording, known: tuple[Fault, ...] = ()) ->
         chosen = task.fit(drive, recording, coarse, turned)
     many = len(recording) >= ENOUGH_RUNS
     for number, segments in enumerate(finer, start=1):
-        bends = many and _bends(chosen)
+        before, residuals = chosen.model.segments, chosen.solution.prediction.residuals
+        bends = many and rms(residuals[(before.level == 0) & before.seen[:, 2], 2:]) > BENT_RAD
         if many and not (bends or set(chosen.undetermined) - set(SENSOR)):
             break
         task.progress(number, 0, "fits")
@@ -241,8 +237,9 @@ def _without_departure(fit: _Fit) -> Geometry:
     if hidden:
         changed = departure.change(recording, size)
         model = replace(other.fitted.model, recording=changed, segments=fit.fitted.model.segments)
-        more_left = _mean_off_m(model, other.fitted) > _mean_off_m(fit.fitted.model, fit.fitted)
-        if corrected.misfit or corrected.delays or more_left:
+        pairs = (model, other.fitted), (fit.fitted.model, fit.fitted)
+        off_m = [np.hypot(*one.residuals(by.solution.values)[:, :2].T).mean() for one, by in pairs]
+        if corrected.misfit or corrected.delays or off_m[0] > off_m[1]:
             return geometry
     return geometry.doubted(fault) if corrected.misfit or fault.code.endswith("_slip") else corrected
 
@@ -257,10 +254,6 @@ def _refined(fit: _Fit, departure: departures.Departure, size: float) -> float:
         if not abs(step) >= SIZE_FOUND * abs(size):
             break
     return size
-
-
-def _mean_off_m(model: Model, fitted: Fitted) -> float:
-    return float(np.hypot(*model.residuals(fitted.solution.values)[:, :2].T).mean())
 
 
 def _without_blunder(task: _Task, recording: Recording) -> _Fit | None:
@@ -297,16 +290,10 @@ def _with_sensor(task: _Task, recording: Recording, fit: _Fit, by_windows: Calla
     return other if other.geometry.passed or bent or named else None
 
 
-def _bends(fitted: Fitted) -> bool:
-    segments = fitted.model.segments
-    return rms(fitted.solution.prediction.residuals[(segments.level == 0) & segments.seen[:, 2], 2:]) > BENT_RAD
-
-
 def _with_own_delays(task: _Task, common: Fitted, losses: FloatArray) -> tuple[Fitted, tuple[Delay, ...]]:
     if implausible_lengths(common, task.campaign.vehicle.drive):
         return common, ()
-    fitted = common
-    delays: tuple[Delay, ...] = ()
+    fitted, delays = common, tuple[Delay, ...]()
     added = joint_fit.sought_delays(common, losses)
     for number in range(DELAY_ROUNDS):
         if number or not added.any():

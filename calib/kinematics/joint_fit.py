@@ -42,7 +42,7 @@ def determined(solution: Solution, parameters: Parameters) -> bool:
 def left_open(uncertainty: Uncertainty, parameters: Parameters) -> tuple[str, ...]:
     """Return the parameters, and the mean radius, of which data leave more than `TOLERATED` of what was open before.
 
-    `uncertainty`: allows for shared noise. Of data alone the mean radius is open where the nominal one is as good.
+    Of data alone the mean radius is open where the nominal one is as good.
     """
     names, spread, pull = parameters.free_names, parameters.prior_std[parameters.free], parameters.pull
     before = np.sqrt(np.diag(np.linalg.inv(pull.T @ pull))) if parameters.pulled else np.ones(len(spread))
@@ -90,10 +90,7 @@ class Fitted:
 
 
 def drive_of(campaign: Campaign, source: str, recording: Recording) -> Drive:
-    """Return the drive with its nominal values.
-
-    `source` (one of `WHEEL_COLUMNS`); `recording`: says whether the loads varied, so that radii have slopes.
-    """
+    """Return the drive with its nominal values, and slopes where loads varied; `source`: one of `WHEEL_COLUMNS`."""
     vehicle, model = campaign.vehicle, campaign.model
     if source == "front":
         return drives.FrontWheel(vehicle.front_radius_m, vehicle.wheelbase_m)
@@ -120,8 +117,7 @@ def fit_parameters(
 ) -> Fitted:
     """Estimate, and name what is not determined; see `Fitted`.
 
-    `sensor`: estimate the sensor's pose and delay, too; `start`: a fit to begin from; `known`: variances of the noise,
-    shape (4,), for runs not driven yet.
+    `sensor`: its pose and delay, too; `start`: to begin from; `known` (4,): noise variances of runs not driven yet.
     """
     free, never = [item.name for item in drive.parameters], tuple[str, ...]()
     first_scales = drives.first_scales(campaign.reference)
@@ -201,7 +197,7 @@ class Delay:
 def at_best_delay(fitted: Fitted, losses: FloatArray) -> Fitted | None:
     """Return a start at the common delay that leaves clearly less, by `delay_losses`; None where the fit's does.
 
-    Where runs begin on the move the prediction jumps: the gradient stays where it began.
+    Of runs that begin on the move no gradient leads there.
     """
     total = losses.sum(axis=1)
     if not total.size or total.min() > total[TRIED // 2] - CLEARLY_LIKELIER:
@@ -214,7 +210,7 @@ def at_best_delay(fitted: Fitted, losses: FloatArray) -> Fitted | None:
 def delay_losses(fitted: Fitted) -> FloatArray:
     """Return each recording's negative log likelihood at delays about the common one, shape (TRIED, n_groups).
 
-    To the robust fit a recording with another delay is an outlier. Empty where the delay is not estimated.
+    Empty where the delay is not estimated.
     """
     model, solution, group = fitted.model, fitted.solution, fitted.model.recording.group
     if not fitted.parameters.free[-1] or SENSOR[-1] in fitted.undetermined:
@@ -238,10 +234,7 @@ def sought_delays(fitted: Fitted, losses: FloatArray) -> FloatArray:
 
 
 def parted(fitted: Fitted, used: BoolArray) -> tuple[str, list[str]]:
-    """Return the parameter that differs most clearly between two groups of runs, and where it is less and more.
-
-    Each run is of the group whose parameters fit it better (k-means), if any does clearly; `used`: segments.
-    """
+    """Return the parameter that differs most between two groups of runs (k-means), and where it is less and more."""
     jacobian, white = (part[used] for part in whitened(fitted.solution, fitted.parameters.free))
     number = fitted.model.segments.run[used]
     runs = np.unique(number)
@@ -262,10 +255,7 @@ def parted(fitted: Fitted, used: BoolArray) -> tuple[str, list[str]]:
 
 
 def own_delays(fitted: Fitted) -> tuple[tuple[Delay, ...], FloatArray]:
-    """Return the delay of each recording in the order driven, and what each run adds to the common one, (n_runs,).
-
-    None of either where one delay fits all.
-    """
+    """Return each recording's delay, and what runs add to the common one, (n_runs,); neither where one fits all."""
     recording, common = fitted.model.recording, float(fitted.solution.values[-1])
     if (shifts := _shifts_of(fitted, "delay_s")) is None:
         return (), np.zeros(0)
@@ -320,10 +310,7 @@ SETTLED: Final = 0.01
 
 
 def with_own_zeros(fitted: Fitted) -> Fitted:
-    """Return the fit with a steering zero for each recording; the fit itself where one zero suits all.
-
-    The angles of the model's recording are then those by their own zeros.
-    """
+    """Return the fit with a steering zero for each recording, in its model's angles; itself where one suits all."""
     if not (spread := steering_zero_spread_rad(fitted)):
         return fitted
     parameters, model, logged = fitted.parameters, fitted.model, fitted.model.recording
@@ -375,7 +362,7 @@ def _round(fitted: Fitted, solution: Solution, spread: float) -> tuple[FloatArra
 
 
 def noise_by_windows(fitted: Fitted, whole: Model) -> tuple[float, float]:
-    """Return the noise of whole runs, in m and rad, by that of their windows; infinite where none were used."""
+    """Return the noise of whole runs, in m and rad, by that of windows; infinite where none were used."""
     if len(fitted.model.segments) <= len(whole.segments):
         return np.inf, np.inf
     values, scales = fitted.solution.values, fitted.solution.scales

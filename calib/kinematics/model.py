@@ -7,7 +7,7 @@ import numpy as np
 
 from calib.errors import RefusedError
 from calib.kinematics import Recording, drives, parts_seen
-from calib.kinematics.path import Path, displacement, integrate_motion, moved_between
+from calib.kinematics.drives import Path, integrate_motion, moved_between
 from calib.types import BoolArray, ComplexArray, FloatArray, IntArray
 
 #: windows as parts of a block: whole, half, quarter
@@ -93,11 +93,11 @@ def end_pose_segments(recording: Recording) -> Segments:
 
 
 def window_segments(recording: Recording, blocks: int) -> Segments:
-    """Return windows of three lengths, nested in blocks of equal travel.
+    """Return windows of three lengths, overlapping by half, nested in blocks of equal travel.
 
-    `blocks`: into about how many all runs together are cut; a run is one at least. Shorter windows overlap by half. Of
-    positions alone every window begins where its run does, with heading zero; in a map its direction is that of the
-    chord about its start. Raises RefusedError where the reference follows the vehicle nowhere.
+    `blocks`: about how many of all runs; a run is one at least. Of positions alone windows begin where the run does,
+    with heading zero; in a map the chord about their start is their direction. Raises RefusedError where the reference
+    follows the vehicle nowhere.
     """
     travel = recording.travel_rad
     ends = np.array([travel[stop - 1] for stop in recording.offsets[1:]])
@@ -190,13 +190,13 @@ class Model:
     def predict(self, values: FloatArray, *, path: Path | None = None, by_drive: bool = True) -> Prediction:
         """Return residuals and derivatives at `values`, shape (n_parameters,); `path`: the drive's there, if known.
 
-        Without `by_drive` the derivatives are those by the sensor's parameters and the delay alone.
+        Without `by_drive` derivatives are by sensor and delay alone.
         """
         path = path or integrate_motion(self.motion(values))
         at_times = _at_times(path, self.recording, self.segments, float(values[-1]), by_drive=by_drive)
         pose, by_parameter, (first, *others) = at_times
         n_drive = len(by_parameter) - 1
-        moved = (displacement(pose, by_parameter, first, other) for other in others)
+        moved = (_displacement(pose, by_parameter, first, other) for other in others)
         seen, through, by_sensor = _along_chord(*(_sensor(*one, values[-4:-1]) for one in moved))
         by_gyro = np.zeros((len(seen), 3, 1))
         by_gyro[:, 2, 0] = np.where(self.segments.gyro, seen[:, 2], 0.0)
@@ -276,6 +276,19 @@ def _velocity(pose: FloatArray, t_s: FloatArray, at: IntArray, low: IntArray, hi
     return (pose[..., after] - pose[..., before]) / np.where(span > 0.0, span, np.inf)
 
 
+def _displacement(
+    pose: FloatArray, by_parameter: FloatArray, first: IntArray, last: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    # with derivatives, (n_segments, 3, n_parameters), by those of the poses, (n_parameters, 3, n)
+    moved = moved_between(pose, first, last)
+    cosine, sine = np.cos(pose[2, first]), np.sin(pose[2, first])
+    d_delta = by_parameter[:, :, last] - by_parameter[:, :, first]
+    d_start = by_parameter[:, 2][:, first]
+    d_forward = cosine * d_delta[:, 0] + sine * d_delta[:, 1] + moved[:, 1] * d_start
+    d_left = cosine * d_delta[:, 1] - sine * d_delta[:, 0] - moved[:, 0] * d_start
+    return moved, np.stack([d_forward, d_left, d_delta[:, 2]]).transpose(2, 0, 1)
+
+
 def _sensor(moved: FloatArray, derivative: FloatArray, place: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     lever, back, turned = place[0] + 1j * place[1], np.exp(-1j * place[2]), np.exp(1j * moved[:, 2])
     seen = back * (moved[:, 0] + 1j * moved[:, 1] + (turned - 1.0) * lever)
@@ -304,10 +317,7 @@ def _parts(place: ComplexArray, turn: FloatArray) -> FloatArray:
 
 
 def replicates(whole: Model, way_m: FloatArray, load_width_N: float | None = None) -> IntArray:
-    """Return the group of replicates of each segment, shape (n,): alike in motion by the wheels.
-
-    With `load_width_N` in speed and, to so much, in load, too.
-    """
+    """Return each segment's group of replicates, shape (n,): of like motion; with `load_width_N` in speed, load too."""
     by_wheels = whole.segments.measured - whole.residuals(drives.nominal_values(whole.drive))
     steps, lapse_s = whole.recording.steps, np.maximum(np.diff(whole.recording.t_s, prepend=0.0), 1e-3)
     rolled = np.abs(steps.turned_rad).mean(axis=0)

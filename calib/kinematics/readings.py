@@ -69,9 +69,9 @@ def readings(
     Parameters
     ----------
     recording, per_rev, drive
-        As it stands, with the stated counts per revolution and nominal values.
+        As stated.
     turned_rad
-        Angle by which the reference's displacements are turned against the wheels'; 0 of none.
+        By which the reference's displacements are turned against the wheels'.
     plausible
         Whether lengths are near nominal as it stands.
     """
@@ -343,7 +343,7 @@ def implausible(name: str, ratio: float, most: float, drive: str) -> bool:
 
 
 def implausible_lengths(fitted: Fitted, drive: str) -> list[str]:
-    """Return a `drive`'s lengths, of those determined, further from those stated than wheels and floors make them."""
+    """Return a `drive`'s determined lengths further from those stated than wheels and floors make them."""
     sentences, parameters, free = [], fitted.parameters, fitted.parameters.free
     sizes = zip(parameters.free_names, parameters.nominal[free], fitted.solution.values[free], strict=True)
     for name, nominal, value in sizes:

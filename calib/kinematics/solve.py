@@ -8,9 +8,8 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtri
 
-from calib.kinematics.drives import Parameters
+from calib.kinematics.drives import Parameters, Path
 from calib.kinematics.model import Model, Prediction, Segments
-from calib.kinematics.path import Path
 from calib.types import WAY_PER_RAD_M, BoolArray, FloatArray, IntArray
 
 #: variances of a displacement's covariance: of the reference's position and heading (m^2, rad^2), of the random walks
@@ -25,10 +24,9 @@ POWER: Final = 0.9
 
 
 def kernels(path: Path, body: FloatArray, segments: Segments, yaw_rad: float) -> FloatArray:
-    """Return each displacement's covariance for unit components.
+    """Return each displacement's covariance for unit `COMPONENTS`, (4, n, 3, 3), in the sensor's frame at its start.
 
-    `body` (shape (3, n_samples)): motion in each step; `yaw_rad`: of the sensor on the vehicle. Shape (4, n, 3, 3):
-    in the order of `COMPONENTS`, in the sensor's frame at the start of the stretch.
+    `body` (shape (3, n_samples)): motion in each step; `yaw_rad`: of the sensor on the vehicle.
     """
     n = len(segments)
     kernel = np.zeros((len(COMPONENTS), n, 3, 3))

@@ -43,9 +43,9 @@ class Freedom:
 
 
 def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
-    """Return sums of parameters with separate errors: mean radius, by distances, and ratios of lengths, by headings.
+    """Return sums of parameters with separate errors, rows (n, n): mean radius, by distances; ratios, by headings.
 
-    `values` (shape (n,)). Shape (n, n): a row a direction, of full rank.
+    `values` (shape (n,)).
     """
     at, out = {name: number for number, name in enumerate(names)}, np.eye(len(names))
     for name, radii in _BESIDE.items():
@@ -89,11 +89,10 @@ def _level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple
 
 
 def covariance_along(pulls: FloatArray, information: FloatArray, directions: FloatArray) -> tuple[FloatArray, Freedom]:
-    """Return the covariance of sums of parameters, and its degrees of freedom.
+    """Return the covariance of `directions` (see `own_directions`), and its degrees of freedom.
 
-    `pulls` (shape (n_blocks, n_parameters)): of each block, in the order driven, in columns in which all together have
-    unit information; `information` (shape (n_blocks, n_parameters, n_parameters)) and `directions` (`own_directions`):
-    in the same columns. The covariance is that of the directions.
+    `pulls` (shape (n_blocks, n_parameters)), `information` (shape (n_blocks, n_parameters, n_parameters)): of each
+    block as driven. All are in columns in which all blocks together have unit information.
     """
     waves, squares = _cosines(len(pulls))
     number, amplitudes = len(squares), waves @ pulls @ directions.T
@@ -150,7 +149,7 @@ class Uncertainty:
 def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArray]:
     """Return Jacobian, shape (n, 3, n_free), and residuals, shape (n, 3), whitened and weighted.
 
-    With a random effect, it is part of the covariance, and the residuals are those of a prediction without it.
+    A random effect is part of the covariance, not of the prediction.
     """
     root = np.sqrt(solution.weights)[:, None]
     jacobian = np.asarray((solution.whitener @ solution.prediction.jacobian[:, :, free]) * root[:, :, None])
@@ -163,7 +162,7 @@ def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArra
 
 
 def flattened(jacobian: FloatArray) -> FloatArray:
-    """Return a Jacobian, shape (n, 3, n_free), as rows one below the other, shape (3 n, n_free)."""
+    """Return a Jacobian, shape (n, 3, n_free), as rows, shape (3 n, n_free)."""
     return jacobian.reshape(-1, jacobian.shape[2])
 
 
@@ -193,9 +192,9 @@ def _rows_of(cluster: IntArray) -> Iterator[IntArray]:
 
 
 def sandwich_along(solution: Solution, free: BoolArray, block: IntArray, directions: FloatArray) -> Uncertainty:
-    """Return the covariance from blocks along the path, which share noise with neighbours.
+    """Return the covariance from blocks (n,), numbered along the path, which share noise with neighbours.
 
-    `free` (shape (n_parameters,)); `block` (shape (n,)): numbered along the path; `directions`: of `own_directions`.
+    `free` (shape (n_parameters,)); `directions`: of `own_directions`.
     """
     flat, residuals, root, scale = _unit_columns(solution, free)
     parts = [(flat[rows], residuals[rows]) for rows in _rows_of(block)]
@@ -292,10 +291,8 @@ DEPENDENT: Final = 1e-6
 def left_within(solution: Solution, free: BoolArray, segments: Segments, labels: StrArray) -> tuple[float, float]:
     """Return root mean squares of position (m) and heading (rad) left by a fit of each session.
 
-    Both are infinite where sessions do not differ beyond chance (F test), or too little is known of each. A session has
-    its own parameters, start heading of the reference, and yaw of its axes.
-
-    `solution`, `free`, `segments`: of the fit of all sessions; `labels` (shape (n_runs,)): session of each run.
+    A session has its own parameters, start heading and yaw of the reference's axes. Infinite where sessions do not
+    differ beyond chance (F test), or too little is known. `labels` (shape (n_runs,)): session of each run.
     """
     turned = np.zeros((len(segments), 3, 2))
     turned[:, 0], turned[:, 1] = segments.measured[:, 1:2], -segments.measured[:, :1]
@@ -341,10 +338,10 @@ ALIKE: Final = 2.6
 
 
 def clustered(solution: Solution, parameters: Parameters, recording: Recording, segments: Segments) -> Uncertainty:
-    """Return the covariance, clustered by run or block, session or route.
+    """Return the covariance, clustered by run or block, session or route: that of the widest intervals.
 
-    Runs of one session, or of one route, whose scores are correlated form one group each, and those of sessions that
-    differ. The grouping of the widest intervals is used; none is narrower than by the noise.
+    Sessions, or routes, are groups where scores within them are correlated, or sessions differ. No interval is narrower
+    than by the noise.
     """
     free = parameters.free
     _, first, block = np.unique(segments.block, return_index=True, return_inverse=True)

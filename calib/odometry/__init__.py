@@ -251,8 +251,7 @@ def integrate(
     Parameters
     ----------
     travel_left_m, travel_right_m : array_like of float, shape (n,) or (runs, n)
-        Travel in each step: one log, runs of equal length, or, with `offsets`, of any length end to end; 0 at a run's
-        first sample.
+        Travel in each step, 0 at a run's first sample: one log, runs of equal length, or, with `offsets`, end to end.
     track_m : array_like of float
         Distance of the rear wheels' contact points; broadcasts to the travel's shape.
     offsets : array_like of int, shape (runs + 1,), optional

@@ -171,9 +171,9 @@ def law_path(
     draws: int = 20_000,
     rng: np.random.Generator | None = None,
 ) -> LawPath:
-    """Drive a route under a law, closed on the odometry, with and without the correction.
+    """Drive a route under a law, closed on the odometry, with and without the correction; see `LawPath`.
 
-    `loading`, `reference_N`: see `LawPath`. Raises BadInputError where the load changes beyond the end of the route.
+    Raises BadInputError where the load changes beyond the end of the route.
     """
     if loading.from_m[-1] >= route.total_m:
         raise BadInputError(
@@ -299,9 +299,9 @@ def law_journey(
 ) -> Journey:
     """Simulate a journey under a law, without and with the correction; see `Journey`.
 
-    `loads_N`, `reference_N`: loads (left, right) carried, and those of the uncorrected odometry; `band`: uncertainty of
-    the real radii, of the regression mean or of a single run. Raises BadInputError where `band` is not known, also of
-    single runs whose scatter was not estimated, or `draws` below 100.
+    `loads_N`, `reference_N`: loads (left, right) carried, and of the uncorrected odometry; `band`: uncertainty of the
+    real radii, one of `BANDS`. Raises BadInputError where that is not known, or of single runs whose scatter is not, or
+    `draws` below 100.
     """
     if band not in (bands := BANDS[: 1 + law.scatters]) or draws < 100:
         raise BadInputError(f"band {band!r}, {draws} draws: expected one of {', '.join(bands)} and 100 draws or more")

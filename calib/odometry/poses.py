@@ -95,8 +95,8 @@ def pose_errors(true: Poses, reference: Poses) -> PoseErrors:
 def poses_of_vehicle(sensor: FloatArray, reference: Reference, *, in_map: bool) -> FloatArray:
     """Turn poses of the sensor (n, 3) into poses of the vehicle.
 
-    In a map they are those of the sensor; else its motion since the start, V = X S X^-1 with its place X on the
-    vehicle. Without a heading a position is of use on the axle only.
+    Outside a map they are motions since the start, V = X S X^-1 with the sensor's place X on the vehicle. Without a
+    heading a position is of use on the axle only.
     """
     place, yaw = complex(reference.sensor_x_m, reference.sensor_y_m), reference.sensor_yaw_rad
     if place == 0.0 and yaw == 0.0:
@@ -159,7 +159,7 @@ def steps(
 ) -> PathSteps:
     """Return a path in exact arcs with its derivatives, from (0, 0) along x; see `PathSteps`.
 
-    Travel has shape (..., n); the track and the radii that it was computed with broadcast to that.
+    Travel has shape (..., n), to which its track and radii broadcast.
     """
     left, right, track = floats(travel_left_m), floats(travel_right_m), floats(track_m)
     path, turn = 0.5 * (left + right), (right - left) / track
@@ -180,7 +180,7 @@ def jacobian(
 ) -> FloatArray:
     """Return the derivatives of the pose (x, y, theta) after each step by `JOINT`, shape (..., n, 3, 5).
 
-    The load offsets are wheel load less the law's reference load in each step; they broadcast to (..., n).
+    The load offsets, above the reference load, broadcast to (..., n).
     """
     wheels = (
         (-1.0, path.left_m / path.radius_left_m, floats(load_offset_left_N)),
@@ -216,8 +216,7 @@ class RandomWalk:
     def covariance(self, path: PathSteps) -> FloatArray:
         """Return the covariance of the pose after each step, shape (..., n, 3, 3).
 
-        A heading error in a step moves every later point about that step's centre: running sums over noise, times
-        centre and times its squares.
+        A heading error in a step turns every later point about that step's centre.
         """
         turn = (path.right_m - path.left_m) / path.track_m
         distance = np.abs(0.5 * (path.left_m + path.right_m)) + WAY_PER_RAD_M * np.abs(turn)
@@ -253,10 +252,9 @@ def _running(variance: FloatArray, direction: FloatArray) -> FloatArray:
 
 
 def ellipses(covariance: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the error ellipses of positions, which hold 95 %: both semi-axes in m, the major one first, each (...).
+    """Return the ellipses that hold 95 % of positions: major and minor semi-axis in m, direction in rad, each (...).
 
-    The third is the major axis' direction in rad, in (-pi/2, pi/2]. `covariance`: of poses, shape (..., 3, 3) or
-    (..., 2, 2), x and y in m^2 first.
+    The direction is the major axis', in (-pi/2, pi/2]. `covariance`: shape (..., 3, 3) or (..., 2, 2), x and y first.
     """
     c = floats(covariance)
     mean, half = 0.5 * (c[..., 0, 0] + c[..., 1, 1]), 0.5 * (c[..., 0, 0] - c[..., 1, 1])

@@ -99,8 +99,7 @@ def replay(
 ) -> Replay:
     """Replay the logged runs of a campaign; for schemes see `calib.odometry.SCHEMES`.
 
-    `rng`: for the bootstrap; `runtime_runs`: fed to the runtime. Raises RefusedError where no run has a log, a
-    reference end pose and valid wheel loads.
+    `runtime_runs`: fed to the runtime. Raises RefusedError where no run has a log, a reference end pose, valid loads.
     """
     coefficients.refuse_other_vehicle(campaign)
     chosen, left_out, notes = _usable(campaign, coefficients.law)
@@ -233,7 +232,7 @@ def _with_end_poses(campaign: Campaign) -> Campaign:
 
 
 def with_loads(campaign: Campaign, law: RadiusLaw) -> tuple[Campaign, tuple[str, ...]]:
-    """Return the campaign with loads where no run has any: unladen, else the law's centre."""
+    """Return the campaign, where no run has loads with unladen ones, else the law's centre."""
     runs, columns = campaign.runs, WHEEL_LOADS
     if any(np.isfinite(runs.number(name)).any() for name in columns):
         return campaign, ()

@@ -134,9 +134,9 @@ def _driven_route(path: Path) -> Route:
 
 
 def read_route(path: Path) -> Route:
-    """Read a route file: ``format = "calib-route/1"``, ``name`` where wanted, and a ``[[segment]]`` for each piece.
+    """Read a route file: ``format = "calib-route/1"``, a ``name`` if wanted, and ``[[segment]]`` tables.
 
-    That has ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
+    These have ``straight_m``, or ``radius_m`` and ``turn_deg`` (or ``turn_rad``), left positive.
     """
 
     def bad(actual: str, expected: str, column: str) -> BadFileError:
@@ -229,7 +229,7 @@ def end_of_route(route: Route, believed: Axle, real: Axle) -> Poses:
 def loads_in_steps(run_N: ArrayLike, logged_N: ArrayLike | None, offsets: ArrayLike) -> FloatArray:
     """Return a wheel's load in the step that ends at each sample of runs laid end to end.
 
-    The run's (`run_N`) holds until the step after a logged one (`logged_N`, NaN: none): the vehicle is loaded standing.
+    `run_N` holds until the step after a logged one (`logged_N`, NaN: none): the vehicle is loaded standing.
     """
     edges = np.asarray(offsets, dtype=np.int64)
     carried = np.repeat(floats(run_N), np.diff(edges))
@@ -253,7 +253,7 @@ def radii_of_model(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the radii that a simulator uses for loads of any shape, in m.
 
-    `by_shaft`: one counter on the drive shaft tells the mean of both wheels, which grow by their mean share.
+    `by_shaft`: counted on the drive shaft, both wheels grow by their mean share.
     """
     above_left_N, above_right_N = (floats(load) - model.reference_load_N for load in (load_left_N, load_right_N))
     left_m = np.asarray(model.radius_left_m + model.slope_left_m_per_N * above_left_N)
@@ -275,8 +275,7 @@ def travel_from_counts(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the travel of each wheel in the step that ends at each sample (Eqs 10 and 11), 0 at a run's first.
 
-    `counts_left`, `counts_right`: unwrapped (n,), of runs end to end by `offsets`; see `integrate`; radii: one, one a
-    run or one a sample.
+    `counts_left`, `counts_right`: unwrapped (n,); `offsets`: see `integrate`; radii: one, one a run or one a sample.
     """
     edges = np.asarray([0, len(np.atleast_1d(counts_left))] if offsets is None else offsets, dtype=np.int64)
     lengths = np.diff(edges)
@@ -341,7 +340,7 @@ def carried_loads_N(vehicle: Vehicle, payload_kg: float, x_m: float, y_m: float)
 def loading_on_the_way(vehicle: Vehicle, rows: Sequence[tuple[float, ...]]) -> Loading:
     """Return the loads of payloads that change on the way; unladen before the first.
 
-    `rows`: distance from which on in m, mass in kg, place x and y in m.
+    `rows`: distance in m, mass in kg, place x and y in m.
     """
     if any(row[0] < 0.0 for row in rows):
         raise BadInputError("payload_at: found a distance below 0 m; expected one along the route; correct it")

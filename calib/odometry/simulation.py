@@ -134,7 +134,7 @@ class Sweep:
 
 
 def run_sweep(route: Route | str, cases: Sequence[Case], *, track_m: float, real_track_m: float | None = None) -> Sweep:
-    """Drive vehicles with different radii over a route (or of that name); the real track is `track_m` by default."""
+    """Drive vehicles with different radii over a route, or one of that name; real track by default `track_m`."""
     way = find_route(route) if isinstance(route, str) else route
     believed, fine = Axle(1.0, 1.0, track_m), way.divided(SPACING_M)
     radii = ([case.left for case in cases], [case.right for case in cases])
@@ -303,8 +303,8 @@ def simulate(
 ) -> Simulation:
     """Run a study of `STUDIES` by name, or ``custom`` with routes and cases of one's own; see `Simulation`.
 
-    `track_m`, `real_track_m`: believed track, and the real one (None: the same); `under`: adds Table 1, Fig. 15 and
-    journeys under a law. Raises BadInputError where the study, a route or a case cannot be used.
+    `real_track_m`: None: as believed; `under`: adds Table 1, Fig. 15 and journeys under a law. Raises BadInputError
+    where the study, a route or a case cannot be used.
     """
     known = STUDIES.get(study)
     if known is None and study != CUSTOM:

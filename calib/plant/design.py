@@ -74,19 +74,15 @@ def tabulate(
     `weaves`: amplitude and wavelength of each run's weave in m; see `Design`.
     """
     start: dict[tuple[str, tuple[float, float]], tuple[int, int, float]] = {}
-    parts: list[FloatArray] = []
-    filled = 0
-    keys = list(zip(kinds, weaves, strict=True))
-    for key in dict.fromkeys(keys):
-        kind, weave = key
+    parts, filled, keys = list[FloatArray](), 0, list(zip(kinds, weaves, strict=True))
+    for kind, weave in dict.fromkeys(keys):
         kappa, end_m = _grid(_segments(kind, length_m=length_m, side_m=side_m, radius_m=radius_m), weave)
         lead = weave[0] * 2 * np.pi / weave[1]
         theta = np.arctan(lead) + np.concatenate(([0.0], np.cumsum(0.5 * (kappa[1:] + kappa[:-1]) * PITCH_M)))
         middle = 0.5 * (theta[1:] + theta[:-1])
-        x = np.concatenate(([0.0], np.cumsum(np.cos(middle) * PITCH_M)))
-        y = np.concatenate(([0.0], np.cumsum(np.sin(middle) * PITCH_M)))
+        x, y = (np.concatenate(([0.0], np.cumsum(part * PITCH_M))) for part in (np.cos(middle), np.sin(middle)))
         parts.append(np.stack([x, y, np.cos(theta), np.sin(theta), theta, kappa]))
-        start[key] = (filled, filled + len(kappa) - 1, end_m)
+        start[kind, weave] = (filled, filled + len(kappa) - 1, end_m)
         filled += len(kappa)
     first, last, ends_m = (np.array(column) for column in zip(*(start[key] for key in keys), strict=True))
     return RouteTables(first, last, ends_m, np.concatenate(parts, axis=1))
@@ -236,17 +232,10 @@ def _crossed(rng: np.random.Generator, n_conditions: int, need: set[str]) -> lis
     conditions = []
     for number, kind in enumerate(route):
         corridor, loaded = kind.startswith("corridor"), payload[number] > 0
-        run = _Run(
-            kind=kind,
-            direction=_WAYS[number // 2 % 2] if corridor else "",
-            payload_kg=payload[number],
-            payload_x_m=ahead[number] if loaded else 0.0,
-            payload_y_m=side[number] if loaded else 0.0,
-            speed_mps=speed[number] if corridor or kind.startswith("route") else min(speed[number], 0.65),
-            stops=stops[number],
-            flying=flying[number],
-        )
-        conditions.append(run)
+        direction, (x_m, y_m) = _WAYS[number // 2 % 2], (ahead[number], side[number]) if loaded else (0.0, 0.0)
+        speed_mps = speed[number] if corridor or kind.startswith("route") else min(speed[number], 0.65)
+        run = _Run(kind, direction if corridor else "", "", payload[number], x_m, y_m, speed_mps)
+        conditions.append(replace(run, stops=stops[number], flying=flying[number]))
     return conditions
 
 
@@ -300,12 +289,14 @@ def poor_design(name: str, rng: np.random.Generator, *, n_runs: int = 40, **sett
         "log_period_s": float(rng.choice([0.1, 0.12])),
     }
     if name == "few_repeats":
-        return _few_repeats(rng, n_runs, settings)
+        whole = good_design(rng, n_runs=3 * n_runs, **settings)
+        what = np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_))
+        first = np.unique(what, return_index=True)[1]
+        return whole.select(np.sort(np.concatenate((first, np.setdiff1d(np.arange(3 * n_runs), first)))[:n_runs]))
     rows = [_poor_run(name, rng, number, n_runs) for number in range(n_runs)]
     if name == "load_a_session":
         drawn["poses"] = str(rng.choice(["all", "none"]))
-    if name == "squares_one_load":
-        drawn["laser"] = False
+    drawn["laser"] = name != "squares_one_load"
     return _design(rows, **{**drawn, **settings})
 
 
@@ -319,18 +310,7 @@ def _poor_run(name: str, rng: np.random.Generator, number: int, n_runs: int) -> 
         run = replace(run, payload_kg=50.0 * session, payload_x_m=0.3, temperature_C=temperature_C)
     else:
         payload = float(rng.choice([0.0, 100.0, 200.0]))
-        run = replace(
-            run,
-            payload_kg=payload,
-            payload_y_m=float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0,
-            speed_mps=float(rng.choice([0.3, 0.6])),
-            temperature_C=round(float(rng.uniform(12, 28)), 1),
-        )
+        y_m = float(rng.choice([-0.15, 0.0, 0.15])) if payload else 0.0
+        speed_mps, temperature_C = float(rng.choice([0.3, 0.6])), round(float(rng.uniform(12, 28)), 1)
+        run = replace(run, payload_kg=payload, payload_y_m=y_m, speed_mps=speed_mps, temperature_C=temperature_C)
     return run if run.payload_kg else replace(run, payload_x_m=0.0, minutes_under_load=0.0)
-
-
-def _few_repeats(rng: np.random.Generator, n_runs: int, settings: Mapping[str, Any]) -> Design:
-    whole = good_design(rng, n_runs=3 * n_runs, **settings)
-    what = np.char.add(np.char.add(whole.kind, whole.direction), whole.payload_kg.astype(np.str_))
-    first = np.unique(what, return_index=True)[1]
-    return whole.select(np.sort(np.concatenate((first, np.setdiff1d(np.arange(3 * n_runs), first)))[:n_runs]))

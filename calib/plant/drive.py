@@ -64,8 +64,7 @@ def drive(
 ) -> Record:
     """Drive all runs of a world, its path follower on the vehicle's odometry.
 
-    Without `quantise` counts keep their fractions, as derivatives need. The first `logged` runs have frames, by default
-    all; see `Record.end`.
+    Without `quantise` counts keep fractions, as derivatives need. The first `logged` runs have frames (None: all).
     """
     design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))

@@ -33,7 +33,7 @@ def is_calibration(cause: Cause) -> bool:
 def outputs(world: World, draw: NoiseDraw, record: Record, *, quantise: bool = False) -> FloatArray:
     """Return measured minus odometry, (n_runs, 6), NaN where a run lacks the channel.
 
-    Laser distance, x, y, theta of the end pose in the start's frame, front wheel's distance and heading.
+    Laser distance; end x, y, theta in the start's frame; front wheel's distance and heading.
     """
     design, end = world.design, record.end
     poses = reference_poses(world, draw, end)[:, 0] + draw.pose.T

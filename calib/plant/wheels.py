@@ -40,12 +40,11 @@ def _with_exponent(draw: Draw, exponent: float) -> Draw:
 
 def _load_dynamic(world: World, size: FloatArray, knobs: Knobs) -> None:
     _load_linear(world, size, knobs)
-    vehicle, weight = world.design.vehicle, world.total_weight_N
-    height = vehicle.cog_z_m
+    vehicle, moment = world.design.vehicle, world.total_weight_N * world.design.vehicle.cog_z_m
 
     def during(now: Moment) -> None:
-        across = weight * height * now.v_mps**2 * now.curvature_per_m / (9.81 * vehicle.track_m)
-        along = -0.5 * weight * height * now.acceleration_mps2 / (9.81 * vehicle.wheelbase_m)
+        across = moment * now.v_mps**2 * now.curvature_per_m / (9.81 * vehicle.track_m)
+        along = -0.5 * moment * now.acceleration_mps2 / (9.81 * vehicle.wheelbase_m)
         now.roll_more(size * (-across - along), size * knobs["right_ratio"] * (across - along))
 
     world.during.append(during)
@@ -107,14 +106,12 @@ def _session_index(design: Design) -> tuple[FloatArray, int]:
 
 
 def _wear(world: World, size: FloatArray, knobs: Knobs) -> None:
-    index, _ = _session_index(world.design)
-    grown = index ** knobs.get("exponent", 1.0)
+    grown = _session_index(world.design)[0] ** knobs.get("exponent", 1.0)
     world.enlarge(-size * grown, -size * knobs["right_ratio"] * grown)
 
 
 def _session_knobs(rng: np.random.Generator, design: Design) -> dict[str, float]:
-    _, count = _session_index(design)
-    steps = rng.standard_normal(count)
+    steps = rng.standard_normal(_session_index(design)[1])
     steps -= steps.mean()
     steps /= max(float(np.sqrt(np.mean(steps**2))), 1e-9)
     return {f"step_{number}": float(value) for number, value in enumerate(steps)}

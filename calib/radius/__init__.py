@@ -103,13 +103,11 @@ def line_of_strata(
     Parameters
     ----------
     sizes, x_mean, y_mean
-        Number of runs, mean load (minus the reference load) and mean radius of each session, shape (n_sessions,).
-    info
-        Squares of the loads within sessions.
-    slope_within
-        Of the regression within sessions; 0 where `info` is.
+        Runs, mean load (minus the reference load) and mean radius of each session, shape (n_sessions,).
+    info, slope_within
+        Squares of the loads within sessions, and slope of the regression there (0 of 0).
     square, residual_square
-        Squares of the radii within sessions, and about that regression.
+        Squares of the radii there, and about that regression.
     """
     n_sessions = len(sizes)
     weight = 1.0 / (WORKING_RATIO + 1.0 / sizes)
@@ -295,10 +293,9 @@ def rho_of(lag_one: float, expected: Callable[[float], float]) -> float:
 def widened(
     estimate: LineEstimate, load_N: FloatArray | None, radius_m: FloatArray, groups: Groups
 ) -> tuple[LineEstimate, Autocorrelation]:
-    """Return the estimate with intervals for autocorrelated runs, and the autocorrelation.
+    """Return the estimate, of independent runs, with intervals for autocorrelated ones, and the autocorrelation.
 
-    `estimate` counts every run of a session as independent. `load_N`: load minus reference load, in the order driven;
-    None for a constant.
+    `load_N`: load minus reference load, in the order driven; None for a constant.
     """
     n = len(radius_m)
     by_session = estimate.dof_between > 0

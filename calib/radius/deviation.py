@@ -51,9 +51,9 @@ def weave_excess(
 
 
 def arc_of_ratio_rad(distance_m: ArrayLike, radius_ratio: ArrayLike, track_m: float) -> FloatArray:
-    """Return the turn of a vehicle that holds equal wheel rates on wheels of ratio r_R / r_L (Fig. 8a).
+    """Return the turn, left positive, of a vehicle with equal rates of wheels of true ratio r_R / r_L (Fig. 8a).
 
-    `distance_m`: path of the middle of the axle; the ratio is that of the true radii. Left turns are positive.
+    `distance_m`: path of the axle's middle.
     """
     ratio = floats(radius_ratio)
     return np.asarray(floats(distance_m) * 2 * (ratio - 1.0) / ((ratio + 1.0) * track_m))
@@ -68,10 +68,7 @@ def radius_error(excess: ArrayLike) -> FloatArray:
 def allowed_amplitude_on_run_m(
     tolerance: ArrayLike, wavelength_m: ArrayLike, distance_m: ArrayLike, track_m: float, *, phase_rad: ArrayLike = 0.0
 ) -> FloatArray:
-    """Return the largest amplitude that keeps the radii of *both* wheels within a tolerance on one run.
-
-    It counts the net turn of a part of a period, too; see `weave_excess`.
-    """
+    """Return the largest amplitude that keeps both radii within a tolerance on one run; see `weave_excess`."""
 
     def worse(amplitude_m: FloatArray) -> FloatArray:
         excess = weave_excess(amplitude_m, wavelength_m, distance_m, track_m, phase_rad=phase_rad)
@@ -285,9 +282,8 @@ class RunDeviations:
 def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
     """Judge the path of every straight run against a tolerance, the largest relative error of a radius.
 
-    ``unknown`` are runs without log, amplitude and wavelength, and those whose error is within the tolerance but its
-    95 % interval is not. Raises RefusedError where there is no straight run; BadInputError where the tolerance is not
-    between 0 and 1.
+    ``unknown`` are runs of unknown path, and those whose error is within the tolerance but its 95 % interval is not.
+    Raises RefusedError where there is no straight run; BadInputError where the tolerance is not between 0 and 1.
     """
     if not 0 < tolerance < 1:
         expected = "a share between 0 and 1; 0.0005 is 0.05 % of the radius"

@@ -70,11 +70,10 @@ def fit_law(radii: EffectiveRadii, *, reference_load_N: float, name: str = "", s
 
 
 def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, noted: bool = True) -> Fit:
-    """Return the fit of a campaign: radii, both laws, static radii where measured.
+    """Return the fit of a campaign: radii, both laws, static radii (``static_radius_left_m``) where measured.
 
-    Static radii are columns (``static_radius_left_m``); `reference_load_N`: see `fit_law`; None: the model's; `noted`:
-    with the campaign's notes first. Raises RefusedError where fewer than three runs can be used; ImplausibleError where
-    implausible units or settings are the reason.
+    `reference_load_N`: see `fit_law`; None: the model's; `noted`: with the campaign's notes. Raises RefusedError where
+    fewer than three runs can be used; ImplausibleError where units or settings are the reason.
     """
     reference = campaign.model.reference_load_N if reference_load_N is None else reference_load_N
     if not np.isfinite(reference) or reference < 0:
@@ -112,15 +111,11 @@ def fit_campaign(campaign: Campaign, *, reference_load_N: float | None = None, n
     driven = {name: column for name in CONDITIONS if np.isfinite(column := used.number(name)).any()}
     unweighed = {} if weighed else dict.fromkeys(WHEEL_LOADS, f"{fit.left.law.reference_load_N:.4g} N")
     conditions = {name: (float(np.nanmin(column)), float(np.nanmax(column))) for name, column in driven.items()}
-    return replace(
-        fit,
-        left=wheels["left"],
-        right=wheels["right"],
-        radii=replace(fit.radii, budget=(*fit.radii.budget, *effective.systematic_components(wheels, radii, sources))),
-        static=static,
-        notes=(*(notes_for_results(campaign) if noted else ()), *fit.notes, *notes),
-        setup=Setup(*stated, conditions, assumed_settings(campaign) | unweighed),
-    )
+    budget = (*fit.radii.budget, *effective.systematic_components(wheels, radii, sources))
+    setup = Setup(*stated, conditions, assumed_settings(campaign) | unweighed)
+    notes = (*(notes_for_results(campaign) if noted else ()), *fit.notes, *notes)
+    fit = replace(fit, radii=replace(fit.radii, budget=budget), static=static, notes=notes, setup=setup)
+    return replace(fit, left=wheels["left"], right=wheels["right"])
 
 
 def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, WheelFit], tuple[str, ...]]:
@@ -129,15 +124,13 @@ def _static(campaign: Campaign, reference_load_N: float) -> tuple[dict[str, Whee
     for wheel in ("left", "right"):
         radius, load = runs.number(f"static_radius_{wheel}_m"), runs.number(f"load_{wheel}_N")
         good = np.isfinite(radius) & np.isfinite(load)
-        if not good.any():
-            continue
-        session = runs.label("session")[good]
+        labels = runs.label("session")[good], runs.label("direction")[good], runs.run_id[good]
         try:
-            unchecked = fit_wheel(wheel, load[good], radius[good], session, reference_load_N=reference_load_N)
+            if good.any():
+                unchecked = fit_wheel(wheel, load[good], radius[good], labels[0], reference_load_N=reference_load_N)
+                fits[wheel] = with_checks(unchecked, *labels)
         except RefusedError as error:
             notes.append(f"Static radius not fitted: {error}.")
-            continue
-        fits[wheel] = with_checks(unchecked, session, runs.label("direction")[good], runs.run_id[good])
     return fits, tuple(notes)
 
 
@@ -281,12 +274,11 @@ def scatter_check(fit: WheelFit, std_m: FloatArray, session: StrArray) -> Iterat
 def with_reading_checks(radii: EffectiveRadii, wheels: list[WheelFit]) -> list[WheelFit]:
     """Return the wheels' fits, failed where runs scatter beyond instruments and paths and the loads do not explain it.
 
-    They do not where the law leaves most of the scatter of held-out runs, or another reading of the table far less.
+    They do not where the law leaves most of held-out runs' scatter, or another reading far less.
     """
     scatters = [[*scatter_check(wheel, getattr(radii, f"std_{wheel.wheel}_m"), radii.session)] for wheel in wheels]
-    if not any(check.level == NOTE for part in scatters for check in part) or "constant" in {
-        one.model for one in wheels
-    }:
+    noted = any(check.level == NOTE for part in scatters for check in part)
+    if not noted or any(one.model == "constant" for one in wheels):
         return wheels
     other, judged = _better_reading(radii), []
     # one run far off alone is not read better by any load

@@ -73,8 +73,7 @@ class WheelLaw:
     def half_width_m(self, load_N: ArrayLike, *, single_run: bool = False) -> FloatArray:
         """Return the half width of the 95 % band at `load_N` (any shape), same shape, in m.
 
-        Of the mean, or of a `single_run` in a session of its own. NaN where there are no degrees of freedom, or no
-        scatter of single runs.
+        Of the mean, or of a `single_run` in a session of its own. NaN without degrees of freedom, or scatter of runs.
         """
         contrast = self.contrast(load_N)
         if single_run and not self.residual_std_m:
@@ -85,10 +84,7 @@ class WheelLaw:
         return np.asarray(std * (stdtrit(self.dof, UPPER) if self.dof > 0 else np.nan))
 
     def dof_of(self, contrast: ArrayLike, *, single_run: bool = False) -> FloatArray:
-        """Return the degrees of freedom of the 95 % band of ``contrast @ (radius_ref, slope)``.
-
-        `contrast` (shape (..., 2)): `contrast` of a load, or the change of a pose by both; `single_run`: as above.
-        """
+        """Return the degrees of freedom of the 95 % band of ``contrast @ (radius_ref, slope)``, shape (..., 2)."""
         c = floats(contrast)
         if self.strata is None:
             return np.full(c.shape[:-1], self.dof)
@@ -159,8 +155,7 @@ class RadiusLaw:
     def covariance(self, track_std_m: float = 0.0, *, single_run: bool = False) -> FloatArray:
         """Return the covariance of `JOINT`, shape (5, 5).
 
-        Wheels without `joint` count as independent, of each other and of the track; it may have the track's
-        uncertainty. `single_run` adds the scatter of single runs about the law (the prediction band).
+        Without `joint` wheels and track count as independent. `single_run` adds the scatter of single runs.
         """
         joint = np.zeros((len(JOINT), len(JOINT)))
         joint[:2, :2], joint[2:4, 2:4], joint[4, 4] = self.left.covariance, self.right.covariance, track_std_m**2
@@ -212,10 +207,7 @@ class LineEstimate:
     def one_stratum(
         design: str, coefficients: FloatArray, covariance: FloatArray, dof: float, variance: float, *, hc3: bool = False
     ) -> "LineEstimate":
-        """Return an estimate of independent runs; see `LineEstimate`.
-
-        `covariance`: of radius and slope, shape (2, 2); `dof`: its degrees of freedom; `variance`: of a single run.
-        """
+        """Return an estimate of independent runs; `covariance` (2, 2), its `dof`, `variance` of a single run."""
         return LineEstimate(coefficients, dof, 0.0, variance, 0.0, covariance, np.zeros((2, 2)), None, hc3, design)
 
     @property
@@ -231,8 +223,8 @@ class LineEstimate:
     def half_width(self, contrast: ArrayLike, *, single_run: bool = False) -> FloatArray:
         """Return the half width of the interval of ``contrast @ coefficients``, shape (...).
 
-        `contrast` (shape (..., 2)): for example (1, 0) for the radius and (0, 1) for the slope; `single_run`: of a
-        further run in a session of its own.
+        `contrast` (shape (..., 2)): (1, 0) is the radius, (0, 1) the slope; `single_run`: of a further run in a session
+        of its own.
         """
         total, share = self._variance(contrast, single_run)
         random = critical_value(share, self.dof_between, self.dof_within) * np.sqrt(total)
@@ -294,10 +286,9 @@ class LineEstimate:
 
 @lru_cache(maxsize=64)
 def critical_curve(dof_between: float, dof_within: float) -> FloatArray:
-    """Return the critical values at the observed shares `SHARES` of the between part.
+    """Return the critical values at the observed `SHARES` of the between part, (25,); read-only: wheels share it.
 
-    Shape (25,), from Student's t of `dof_within` to that of `dof_between`, both above 0; read-only: wheels and bands
-    share it.
+    They go from Student's t of `dof_within` to that of `dof_between`, both above 0.
     """
     if dof_between < FEWEST_BETWEEN_DOF:
         within, between = stdtrit([dof_within, dof_between], UPPER)
@@ -328,7 +319,7 @@ def critical_curve(dof_between: float, dof_within: float) -> FloatArray:
 def critical_value(share: ArrayLike, dof_between: float, dof_within: float) -> FloatArray:
     """Return the critical value for observed shares, V_between over the sum V; it multiplies sqrt(V).
 
-    `dof_between`, `dof_within`: 0 where there is no such part.
+    Degrees of freedom are 0 where there is no such part.
     """
     observed = floats(share)
     within = stdtrit(dof_within, UPPER) if dof_within > 0 else np.nan

@@ -77,9 +77,9 @@ def small_amplitude_excess(amplitude_m: ArrayLike, wavelength_m: ArrayLike) -> F
 
 
 def arc_excess(yaw_rad: ArrayLike, distance_m: ArrayLike, track_m: float) -> PathExcess:
-    """Return the relative excess of a steady arc over its chord (Fig. 8a).
+    """Return the relative excess of a steady arc over its chord `distance_m` (Fig. 8a).
 
-    `yaw_rad`: turn over the run, left positive; `distance_m`: S_O along the chord. The arguments broadcast.
+    `yaw_rad`: turn, left positive. The arguments broadcast.
     """
     yaw, distance = np.broadcast_arrays(floats(yaw_rad), floats(distance_m))
     return PathExcess.of(1.0 / np.sinc(0.5 * yaw / np.pi) - 1.0, yaw, distance, track_m)
@@ -209,8 +209,7 @@ class Weaves(NamedTuple):
 def estimate_weaves(logs: Logs, metres_per_count: tuple[float, float], track_m: float) -> Weaves:
     """Estimate the weave of every run that has a log.
 
-    `metres_per_count`: left and right, by the assumed radii; a common error of 1 % changes lengths by 1 %, an error of
-    one wheel goes into the trend.
+    `metres_per_count`: left and right; a common error goes into lengths, one of a wheel into the trend.
     """
     out = np.full((7, len(logs.lengths)), np.nan)
     if "counts_left" in logs.columns and "counts_right" in logs.columns:
@@ -249,12 +248,11 @@ def _headings(
 
 
 def fit_headings(rolled_m: FloatArray, heading_rad: FloatArray) -> FloatArray:
-    """Fit trend and weave to headings on equal steps of the distance rolled.
+    """Fit trend and weave to headings on equal steps of the distance rolled; return the fields of `Weaves`, (7, n).
 
     The model is ``heading = offset + trend s + atan(dy/dx)`` with ``dy/dx = p cos(k x) + q sin(k x)``.
 
     `rolled_m` (shape (n,)): path of the axle's middle; `heading_rad` (shape (n, m)): at m equal steps from 0 to that.
-    Returns the fields of `Weaves`, shape (7, n).
     """
     n, m = heading_rad.shape
     u = np.broadcast_to(np.linspace(0.0, 1.0, m), (n, m))

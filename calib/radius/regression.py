@@ -118,11 +118,7 @@ class WheelFit:
 
     @cached_property
     def law(self) -> WheelLaw:
-        """The law for odometry and export.
-
-        Its covariance is session-aware, its ``dof`` the smaller of those of radius and slope, its ``residual_std_m``
-        the standard deviation of a single run in a session of its own.
-        """
+        """The law for odometry and export; its ``dof`` is the smaller of those of radius and slope."""
         radius, slope = self.estimate.coefficients.tolist()
         dof = float(self._dof.min()) if self.model == "line" else self.dof_radius_ref
         std = float(np.sqrt(self.estimate.run_variance + self.estimate.session_variance))
@@ -300,21 +296,12 @@ def fit_wheel(
     influence = ols.get_influence()
     with np.errstate(divide="ignore", invalid="ignore"):
         cook = np.nan_to_num(influence.cooks_distance[0], nan=0.0, posinf=0.0)
-    return WheelFit(
-        wheel=wheel,
-        design=design,
-        reference_load_N=reference_load_N,
-        estimate=estimate,
-        naive=naive,
-        r_squared=float(ols.rsquared) if naive and ols.centered_tss > 0 else 0.0,
-        residual_std_m=float(np.sqrt(ols.mse_resid)),
-        load_N=load,
-        radius_m=radius,
-        residual_m=radius - estimate.coefficients[0] - estimate.coefficients[1] * x,
-        leverage=np.asarray(influence.hat_matrix_diag),
-        cook=np.asarray(cook),
-        autocorrelation=autocorrelation,
-    )
+    fitted = design, reference_load_N, estimate, naive
+    r_squared = float(ols.rsquared) if naive and ols.centered_tss > 0 else 0.0
+    residual = radius - estimate.coefficients[0] - estimate.coefficients[1] * x
+    runs = load, radius, residual, np.asarray(influence.hat_matrix_diag), np.asarray(cook)
+    std_m = float(np.sqrt(ols.mse_resid))
+    return WheelFit(wheel, *fitted, r_squared, std_m, *runs, autocorrelation=autocorrelation)
 
 
 def least_squares(x: FloatArray | None, y: FloatArray) -> "RegressionResults":
@@ -327,20 +314,17 @@ def least_squares(x: FloatArray | None, y: FloatArray) -> "RegressionResults":
 def independent_line(ols: "RegressionResults", x: FloatArray | None = None) -> LineEstimate:
     """Return a least-squares line of independent runs.
 
-    `x` (shape (n_runs,)): load minus reference load, for HC3 where the scatter clearly depends on it; None: never HC3.
+    `x` (shape (n_runs,)): load minus reference load, for HC3 where the scatter depends on it; None: never.
     """
     hc3 = x is not None and needs_hc3(ols.resid, x, ols.df_resid)
-    covariance = ols.cov_HC3 if hc3 else ols.cov_params()
-    return LineEstimate.one_stratum(
-        "single", ols.params, covariance, float(ols.df_resid), float(ols.mse_resid), hc3=bool(hc3)
-    )
+    covariance, dof = ols.cov_HC3 if hc3 else ols.cov_params(), float(ols.df_resid)
+    return LineEstimate.one_stratum("single", ols.params, covariance, dof, float(ols.mse_resid), hc3=bool(hc3))
 
 
 def paired_law(left: WheelFit, right: WheelFit, groups: Groups) -> RadiusLaw:
-    """Return the law of both wheels with the covariance between them.
+    """Return the law of both wheels with the covariance between them, from paired residuals.
 
-    It comes from paired residuals, of runs and of sessions: mean and difference of both radii have the variance that a
-    fit of their own gives them.
+    Mean and difference of both radii then have the variance that a fit of their own gives them.
     """
     wheels, estimates = (left, right), (left.estimate, right.estimate)
     residuals, of_sessions = [wheel.residual_m for wheel in wheels], 0.0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from calib.campaign.checks import SIDES
 from calib.campaign.model import Campaign
 from calib.campaign.settings import Encoder, OdometryModel, Rangefinder, Reference
 from calib.documents import CHECKSUM_KEY, VERSION, Result, checksum, csv_text, plain, to_json
@@ -117,10 +118,8 @@ class Fit(Result):
     def to_dict(self) -> dict[str, Any]:
         """Return the fit as plain values, as ``calib fit --json``."""
         document: dict[str, object] = {"format": FORMAT, "campaign": self.name, "wheels": self.wheels}
-        document["runs"] = _rows(self)
-        document |= {name: getattr(self.radii, name) for name in ("budget", "left_out")}
-        document |= {name: getattr(self, name) for name in _WRITTEN}
-        written = plain(document)
+        document |= {"runs": _rows(self), "budget": self.radii.budget, "left_out": self.radii.left_out}
+        written = plain(document | {name: getattr(self, name) for name in _WRITTEN})
         return {**written, CHECKSUM_KEY: checksum(written)}
 
     @staticmethod
@@ -130,32 +129,21 @@ class Fit(Result):
         Raises BadInputError where a key is missing or of the wrong kind.
         """
         try:
-            setup, notes = value.get("setup"), tuple(value["notes"])
-            fit = Fit(
-                name=str(value["campaign"]),
-                simulated=bool(value["simulated"]),
-                left=WheelFit.from_dict("left", value["wheels"]["left"]),
-                right=WheelFit.from_dict("right", value["wheels"]["right"]),
-                radii=EffectiveRadii(
-                    **_columns(value["runs"]),
-                    budget=from_plain(tuple[Component, ...], value["budget"]),
-                    left_out=from_plain(tuple[UnusedRun, ...], value["left_out"]),
-                    notes=notes,
-                ),
-                static={name: WheelFit.from_dict(name, wheel) for name, wheel in value["static"].items()},
-                notes=notes,
-                provenance=dict(value["provenance"]),
-                setup=None if setup is None else from_plain(Setup, setup),
-            )
-            for name, wheel in fit.wheels.items():
+            notes, name, simulated = tuple(value["notes"]), str(value["campaign"]), bool(value["simulated"])
+            left, right = (WheelFit.from_dict(side, value["wheels"][side]) for side in SIDES)
+            budget = from_plain(tuple[Component, ...], value["budget"])
+            left_out = from_plain(tuple[UnusedRun, ...], value["left_out"])
+            radii = EffectiveRadii(**_columns(value["runs"]), budget=budget, left_out=left_out, notes=notes)
+            static = {side: WheelFit.from_dict(side, wheel) for side, wheel in value["static"].items()}
+            setup = None if value.get("setup") is None else from_plain(Setup, value["setup"])
+            fit = Fit(name, simulated, left, right, radii, static, notes, dict(value["provenance"]), setup)
+            for side, wheel in fit.wheels.items():
                 lengths = {len(getattr(wheel, column)) for column in RUN_ARRAYS}
-                if lengths != {len(fit.radii)}:
-                    listed = len(fit.radii)
-                    raise ValueError(f"{listed} runs are listed, and the {name} wheel was fitted on {lengths}")
+                if lengths != {len(radii)}:
+                    raise ValueError(f"{len(radii)} runs are listed, and the {side} wheel was fitted on {lengths}")
             return fit
         except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-            text = " ".join(str(error).split())
-            text = f"the fit is damaged ({type(error).__name__}: {text})"
+            text = f"the fit is damaged ({type(error).__name__}: {' '.join(str(error).split())})"
             raise BadInputError(f"{text}; expected what 'calib fit' wrote; make it anew") from error
 
 
@@ -201,8 +189,7 @@ def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
     `force` is False, or cannot be written.
     """
     document = fit.to_dict()
-    rows = document["runs"]
-    text = csv_text(list(rows[0]), (row.values() for row in rows))
+    text = csv_text(list(document["runs"][0]), (row.values() for row in document["runs"]))
     files = {RUNS_FILE: text.encode("utf-8", "backslashreplace"), FIT_FILE: to_json(document).encode("utf-8")}
     write_files(folder, files, force=force)
     return folder / FIT_FILE
@@ -216,9 +203,8 @@ def _check_seal(file: Path, value: Mapping[str, Any]) -> None:
         raise BadFileError(file, found=f"a number that is none ({error})", expected="a fit", remedy=REMEDY) from error
     if stated != computed:
         expected = f"{computed}, which its content has; the file was changed, or made by an older version"
-        raise BadFileError(
-            file, "no checksum" if stated is None else f"{str(stated)[:80]!r}", expected, REMEDY, column=CHECKSUM_KEY
-        )
+        actual = "no checksum" if stated is None else f"{str(stated)[:80]!r}"
+        raise BadFileError(file, actual, expected, REMEDY, column=CHECKSUM_KEY)
 
 
 def is_result(path: Path) -> bool:
@@ -293,7 +279,7 @@ class ModelComparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return it as plain values: the key ``model_comparison`` of ``calib fit --model --json``."""
-        wheels: dict[str, dict[str, object]] = {side: {"radius_ref": None, "slope": None} for side in ("left", "right")}
+        wheels: dict[str, dict[str, object]] = {side: {"radius_ref": None, "slope": None} for side in SIDES}
         for one in self.differences:
             unit = "m" if one.quantity == "radius_ref" else "m_per_N"
             names = {"fitted": "fitted", "model": "model", "difference": "difference", "difference_ci95": "ci95"}

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from calib.kinematics import Recording
-from calib.kinematics.drives import Differential, Drive, FrontWheel, Mecanum, RearShaft, Steps
+from calib.kinematics.drives import Differential, Drive, FrontWheel, Mecanum, RearShaft, Steps, integrate_motion
 from calib.kinematics.model import Model, Segments, window_segments
-from calib.kinematics.path import integrate_motion
 
 #: relative step of the finite differences, and how well they can agree with the derivative
 STEP, AGREE = 1e-6, 2e-6

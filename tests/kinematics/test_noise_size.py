@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
+from calib.kinematics.departures import NORMAL_GAIN
 from calib.kinematics.estimate import estimate_geometry
-from calib.kinematics.noise import NORMAL_GAIN
 from calib.kinematics.solve import DEGREES
 from tests.kinematics.campaigns import Truth, campaign, mixed
 

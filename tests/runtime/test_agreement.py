@@ -250,7 +250,6 @@ def test_on_a_straight_the_reading_of_the_encoders_has_its_closed_form(file: Coe
 def test_the_random_walk_is_that_of_the_estimator_of_its_size(file: CoefficientFile) -> None:
     """Straights, bends and a turn on the spot: the walks whose sizes `calib geometry` estimates from such stretches."""
     drives, model, solve = (pytest.importorskip(f"calib.kinematics.{name}") for name in ("drives", "model", "solve"))
-    path = pytest.importorskip("calib.kinematics.path")
     along, heading, track = 4e-3, 5e-3, 0.7
     document = file.to_dict()
     document["encoder"]["counts_per_rev_right"]["value"] = 4096.0
@@ -268,7 +267,7 @@ def test_the_random_walk_is_that_of_the_estimator_of_its_size(file: CoefficientF
     whole = model.Segments(
         np.array([0]), *ends, np.zeros((1, 3)), np.ones((1, 3), bool), np.array([0]), np.array([0]), np.array([False])
     )
-    walks = solve.kernels(path.integrate_motion(motion), motion.body, whole, 0.0)[2:, 0]
+    walks = solve.kernels(drives.integrate_motion(motion), motion.body, whole, 0.0)[2:, 0]
     expected = heading**2 * walks[0] + along**2 * walks[1]
     # a step's noise acts at its end there and along its arc here: steps of 1/480 of the path
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=0.01 * np.abs(expected).max(axis=(0, 1)))
