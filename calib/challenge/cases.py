@@ -15,7 +15,7 @@ from calib.plant import Cause, Noise, random_noise
 from calib.plant.design import Design, good_design, poor_design
 from calib.plant.effects import find
 from calib.plant.make import as_causes, make_campaigns, random_model
-from calib.plant.signal import alternatives, is_calibration, rivals, signatures, to_signal
+from calib.plant.signal import Alternatives, alternatives, is_calibration, rivals, signatures, to_signal
 from calib.types import FloatArray, grouped
 
 UNSIGNED: Final = ("encoder_gross", "integration_scheme")
@@ -135,15 +135,19 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
             among = alternatives(design, model, noise, causes[0])
             near = tuple(rivals(among)[:8])
             if recipe.group == "single":
-                known, signal = signatures(among), recipe.targets[0]
-                drawn, drawn_of_own = (np.random.default_rng([seed, recipe.number, stream]) for stream in (3, 4))
-                best = ceiling_of(known, signal, drawn)
-                if not is_calibration(causes[0]):
-                    own = ceiling_of(known, signal, drawn_of_own, (causes[0].effect, among.left(0)))
-    best, own = (one and Ceiling(round(one.free, 3), round(one.gated, 3)) for one in (best, own))
+                best, own = _ceilings(among, recipe, seed)
     typical = tuple(find(cause.effect, cause.form).typical for cause in causes)
     shown = tuple(causes), typical, signals, beside, near
     return Truth(recipe, seed, max_runs, redraw, *shown, noise, model, len(design), best, own)
+
+
+def _ceilings(among: Alternatives, recipe: Recipe, seed: int) -> list[Ceiling | None]:
+    known, signal, cause = signatures(among), recipe.targets[0], among.cause
+    drawn, drawn_of_own = (np.random.default_rng([seed, recipe.number, stream]) for stream in (3, 4))
+    best, own = ceiling_of(known, signal, drawn), None
+    if not is_calibration(cause):
+        own = ceiling_of(known, signal, drawn_of_own, (cause.effect, among.left(0)))
+    return [one and Ceiling(round(one.free, 3), round(one.gated, 3)) for one in (best, own)]
 
 
 def campaigns_of(truth: Truth) -> tuple[Campaign, ...]:

@@ -124,8 +124,7 @@ def judge(truth: Truth, verdict: Mapping[str, Any] | None) -> Judged:
     sets = [set(credible) for credible in answer.get("credible_sets", [])]
     false_causes = [cause for cause in named if cause not in near and not grouped_with(cause, effects, groups)]
     stated = [c for c in causes if c.get("probability") is not None and recipe.group != "alias"]
-    recommended = bool(answer.get("recommended", False))
-    extra = answer.get("challenge") or {}
+    recommended, extra = bool(answer.get("recommended", False)), answer.get("challenge") or {}
     achieved = extra.get("achieved") or {}
     before, after = achieved.get("before_over_floor"), achieved.get("after_over_floor")
     target = recipe.targets[0] if recipe.targets else math.nan

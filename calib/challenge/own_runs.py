@@ -75,7 +75,7 @@ class _Candidate:
 def plants_of(
     diagnosis: Diagnosis, replay: Replay, wanted: Sequence[str], sizes: Sequence[Size], rng: np.random.Generator
 ) -> tuple[list[Plant], dict[str, str]]:
-    """Return what is planted, and why others are not.
+    """Return what is planted, and why others are not; see `Plant`.
 
     `wanted`: effects and outside causes, empty: all; BadInputError where one is unknown.
     """

@@ -84,12 +84,14 @@ def _best(recording: Recording, estimated: Callable[[Using], Geometry]) -> Geome
     with suppress(RefusedError):
         codes = {fault.code for fault in by_windows.faults}
         trusted = by_windows.passed or UNSEEN & codes or (codes - OF_CLOCKS and not by_windows.misfit)
-        if not trusted:
-            ends, verdict = estimated("end_poses"), by_windows.verdict.value
-            by = f"By windows of the recordings the result is {verdict}: "
-            # what windows show, such as a clock or a sensor that was moved, hardly shows at ends
-            return replace(ends, notes=(*ends.notes, *(f"{by}{why.rstrip('.')}." for why in by_windows.why[:1])))
+        return by_windows if trusted else _told_by(by_windows, estimated("end_poses"))
     return by_windows
+
+
+def _told_by(windows: Geometry, ends: Geometry) -> Geometry:
+    # what windows show, such as a clock or a sensor that was moved, hardly shows at ends
+    by = f"By windows of the recordings the result is {windows.verdict.value}: "
+    return replace(ends, notes=(*ends.notes, *(f"{by}{why.rstrip('.')}." for why in windows.why[:1])))
 
 
 def _estimated(task: "_Task", recording: Recording, by_windows: Callable[[], "_Fit"], *, asked: bool) -> Geometry:

@@ -129,8 +129,7 @@ def fit_parameters(
         never = (*SENSOR[3:4] * segments.chords_alone, *SENSOR[4:] * coarse)
         free += [name for name in SENSOR[1:] if name not in never]
     items, model = drives.parameters_of(drive, campaign.reference), Model(drive, recording, segments)
-    radii = [at for at, name in enumerate(free) if "radius" in name]
-    alone = np.array([item.nominal for item in items])
+    radii, alone = [at for at, name in enumerate(free) if "radius" in name], np.array([item.nominal for item in items])
     # nominal values pull only where data leave something open
     attempts = [Parameters.of(items, free), replace(Parameters.of(items, free), pulled=True)]
     for parameters in attempts:
@@ -138,8 +137,7 @@ def fit_parameters(
         if start is not None and start.parameters.pulled == parameters.pulled:
             values = np.where(parameters.free, start.solution.values, values)
         elif parameters.pulled and np.any(np.abs(alone[radii] / values[radii] - 1.0) > GROSS):
-            # wrong counts or units: nominal lengths are no start
-            far = alone
+            far = alone  # wrong counts or units: nominal lengths are no start
         if known is None:
             solution = solve(model, parameters, values, first_scales)
             if far is not None:

@@ -64,7 +64,8 @@ def drive(
 ) -> Record:
     """Drive all runs of a world, its path follower on the vehicle's odometry.
 
-    Without `quantise` counts keep fractions, as derivatives need. The first `logged` runs have frames (None: all).
+    Without `quantise` counts keep fractions, as derivatives need. The first `logged` runs have frames, by default
+    all; see `Record.end`.
     """
     design = world.design
     every = max(1, round((design.log_period_s or 0.25) / step_s))

@@ -17,7 +17,7 @@ from calib.errors import BadInputError
 from calib.radius.effective import EffectiveRadii, UnusedRun, usable_runs
 from calib.radius.path_length import PathExcess, arc_excess, correct_paths, small_amplitude_excess, whole_period_excess
 from calib.radius.regression import FAILED, MIN_SLOPE_DOF, NOTE, NOTE_BELOW, UM, Check, WheelFit, t_check
-from calib.types import FloatArray, Row, StrArray, floats, rows_of
+from calib.types import BoolArray, FloatArray, Row, StrArray, floats, rows_of
 from calib.vehicle import Vehicle
 
 #: halvings of an interval, down to rounding
@@ -338,13 +338,15 @@ def judge_runs(campaign: Campaign, tolerance: float) -> RunDeviations:
         "arc_turn_rad": turn,
         "arc_excess": arc_excess(turn, distance, vehicle.track_m).centre,
     }
-    notes, blind = path.notes, known & blind
+    notes = (*path.notes, *_bow_note(known & blind, distance, tolerance, vehicle))
+    return RunDeviations(tolerance, columns, left_out, notes)
+
+
+def _bow_note(blind: BoolArray, distance_m: FloatArray, tolerance: float, vehicle: Vehicle) -> Iterator[str]:
     if blind.any():
         # a bow turns the vehicle by 8 bows over the distance
-        bow_m = tolerance * float(np.median(distance[blind])) ** 2 / (4.0 * vehicle.track_m)
-        bow = (
+        bow_m = tolerance * float(np.median(distance_m[blind])) ** 2 / (4.0 * vehicle.track_m)
+        yield (
             f"A steady bow of {blind.sum()} of {len(blind)} runs is not seen: nothing tells it from unequal radii. One "
             f"of {1e3 * bow_m:.3g} mm moves a radius by {100 * tolerance:g} %; measure ref_theta_rad at the end."
         )
-        notes = (*notes, bow)
-    return RunDeviations(tolerance, columns, left_out, notes)

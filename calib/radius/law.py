@@ -207,7 +207,7 @@ class LineEstimate:
     def one_stratum(
         design: str, coefficients: FloatArray, covariance: FloatArray, dof: float, variance: float, *, hc3: bool = False
     ) -> "LineEstimate":
-        """Return an estimate of independent runs; `covariance` (2, 2), its `dof`, `variance` of a single run."""
+        """Return an estimate of independent runs; see `LineEstimate`; `variance`: of a single run."""
         return LineEstimate(coefficients, dof, 0.0, variance, 0.0, covariance, np.zeros((2, 2)), None, hc3, design)
 
     @property
