@@ -27,9 +27,17 @@ from calib.gap.decision.kind import (
     tells_more,
     with_left,
 )
-from calib.gap.decision.sought import Sought, lone_recordings, lone_run, lone_windows, refuse_copied, without_runs
+from calib.gap.decision.sought import (
+    Sought,
+    furthest,
+    lone_recordings,
+    lone_run,
+    lone_windows,
+    refuse_copied,
+    without_runs,
+)
 from calib.gap.effects import Effect
-from calib.gap.effects.encoder import BAD_RUN_RATIO, BLUNDER_MISFIT, misfit
+from calib.gap.effects.encoder import BLUNDER_MISFIT, misfit
 from calib.gap.effects.library import ELSEWHERE, beyond_law, library, model_of, with_mounting_of
 from calib.gap.effects.reference import ReferenceLeverArm, ReferenceYaw
 from calib.gap.effects.simulator import IntegrationScheme
@@ -159,8 +167,8 @@ def _furthest(diagnosis: Diagnosis) -> dict[str, float]:
     evidence = diagnosis.arrays
     seen, fitted = evidence.observations, evidence.fitted
     off = np.sqrt(evidence.left_out.squares(fitted.left) / np.fmax(seen.usable.sum(axis=1), 1))
-    run, kind = int(np.argmax(off)), seen.labels["kind"]
-    apart = off[run] > BAD_RUN_RATIO * np.delete(off, run).max(initial=0.0) and (kind == kind[run]).sum() > 1
+    run, kind = furthest(off), seen.labels["kind"]
+    apart = run >= 0 and (kind == kind[run]).sum() > 1
     return {str(seen.labels["run_id"][run]): float(misfit(fitted.path)[run])} if apart else {}
 
 

@@ -12,7 +12,7 @@ from calib.campaign.model import Campaign
 from calib.campaign.settings import OdometryModel
 from calib.coefficients.sections import EffectSection
 from calib.errors import BadInputError, RefusedError
-from calib.gap.decision import chance_of_order, most_square
+from calib.gap.decision import chance_of_order
 from calib.gap.decision.confounding import calibrated
 from calib.gap.decision.diagnosis import Situation
 from calib.gap.effects import Effect, forms_on
@@ -267,33 +267,24 @@ def refuse_copied(campaign: Campaign, nominal: Path) -> None:
 
 
 def lone_run(situation: Situation) -> dict[str, float]:
-    """Return the one run, by id, its share off, beside which a recalibration leaves all others within the stated noise.
-
-    Of runs driven twice that which is three times as far off its nearest repeat as any other, else another of its kind
-    stays.
-    """
+    """Return the run, by id, its share off, that is three times as far off its nearest repeat as any other."""
     from scipy.spatial import KDTree
 
-    nominal, noise, observations = situation.nominal, situation.noise, situation.observations
-    if observations.windowed or situation.omitted:
+    noise, observations = situation.noise, situation.observations
+    if observations.windowed or situation.omitted or noise.dof <= 0.0:
         return {}
-    rows, whole = observations.usable.sum(axis=1), recalibrate(nominal, noise)
-    unit, off = np.arange(len(rows)), np.zeros(len(rows))
-    if noise.dof > 0.0:
-        left = np.where(observations.usable, whole.left / (noise.floor * np.sqrt(noise.weight)[:, None]), 0.0)
-        for alike in (np.flatnonzero(observations.condition == one) for one in set(observations.condition)):
-            # from the nearest: of a pair none is the one that is off
-            off[alike] = KDTree(left[alike]).query(left[alike], 2)[0][:, 1] if len(alike) > 1 else 0.0
-        run = int(np.argmax(off))
-        return _named(whole, unit, [run]) if off[run] > BAD_RUN_RATIO * max(np.delete(off, run)) else {}
-    squares = squares_by_unit(nominal, noise, whole.left)
-    run, kind = int(np.argmax(squares)), observations.labels["kind"]
-    if not noise.supported or whole.chi_square <= most_square(int(rows.sum())) or (kind == kind[run]).sum() < 2:
-        return {}
-    others = _by_others(nominal, noise, unit == run)
-    if others.chi_square > most_square(int(rows.sum() - rows[run])):
-        return {}
-    return _named(others, unit, [run])
+    whole, off = recalibrate(situation.nominal, noise), np.zeros(len(observations))
+    left = np.where(observations.usable, whole.left / (noise.floor * np.sqrt(noise.weight)[:, None]), 0.0)
+    for alike in (np.flatnonzero(observations.condition == one) for one in set(observations.condition)):
+        # from the nearest: of a pair none is the one that is off
+        off[alike] = KDTree(left[alike]).query(left[alike], 2)[0][:, 1] if len(alike) > 1 else 0.0
+    return _named(whole, np.arange(len(off)), [run]) if (run := furthest(off)) >= 0 else {}
+
+
+def furthest(off: FloatArray) -> int:
+    """Return the number of what is three times as far off as all others, shape (n,); -1 without one."""
+    number = int(np.argmax(off))
+    return number if off[number] > BAD_RUN_RATIO * np.delete(off, number).max(initial=0.0) else -1
 
 
 def lone_recordings(situation: Situation) -> dict[str, float]:
@@ -322,8 +313,7 @@ def lone_recordings(situation: Situation) -> dict[str, float]:
 
     worst = int(np.argmax(off(recalibrate(nominal, noise))))
     others = _by_others(nominal, noise, unit == worst)
-    alone = off(others)
-    apart = most > 0 and alone[worst] > BAD_RUN_RATIO * max(np.delete(alone, worst))
+    apart = most > 0 and furthest(off(others)) == worst
     return _named(others, unit, [worst]) if apart and not _go_on(others, noise, unit, [worst]) else {}
 
 
