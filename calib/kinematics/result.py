@@ -112,10 +112,9 @@ class Umbmark:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunTrace:
-    """One run: the sensor's path by nominal and calibrated odometry, and by the reference, aligned.
+    """One run: the sensor's path by nominal and calibrated odometry, and by the reference.
 
-    With a reference along the path, the paths are rotated and shifted as a whole; with an end pose alone they begin at
-    the start.
+    Of a reference along the path the paths are rotated and shifted as a whole; of an end pose they begin at the start.
     """
 
     run_id: str
@@ -237,10 +236,7 @@ class Geometry(Result):
         return np.asarray(self.covariance / np.outer(std, std))
 
     def ratio(self, over: str, under: str) -> Estimate:
-        """Return the ratio of two parameters with its interval, as the joint covariance gives it.
-
-        `over`, `under`: names of parameters that were determined.
-        """
+        """Return the ratio of two determined parameters, by name, with its interval by the joint covariance."""
         return self._derived(f"{over}/{under}", {over: 1.0}, {under: 1.0})
 
     def track_over_radius(self) -> Estimate:
@@ -249,7 +245,7 @@ class Geometry(Result):
 
     @property
     def scaled(self) -> tuple[Estimate, ...]:
-        """Radii and track where they rest on the nominal mean radius, as of paths that close; else none."""
+        """Radii and track where they rest on the nominal mean radius (paths that close); else none."""
         lengths = tuple(one for one in self.estimates if one.name in {"radius_left_m", "radius_right_m", "track_m"})
         return lengths if MEAN_RADIUS in self.undetermined and sum("radius" in one.name for one in lengths) == 2 else ()
 

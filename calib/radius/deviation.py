@@ -103,9 +103,9 @@ def _largest(error: Callable[[FloatArray], FloatArray], tolerance: ArrayLike, br
 def deviation_rows(
     amplitudes_m: ArrayLike, wavelengths_m: ArrayLike, distance_m: float, track_m: float, tolerance: float
 ) -> list[dict[str, float]]:
-    """Return the table of Fig. 9: a mapping for each pair of amplitude (n,) and wavelength (m,), from phase 0.
+    """Return the table of Fig. 9: a row a pair of amplitude (n,) and wavelength (m,), from phase 0; see `weave_excess`.
 
-    `tolerance`: relative, of a radius; see `weave_excess`. Raises BadInputError where a length is not positive.
+    `tolerance`: relative, of a radius. Raises BadInputError where a length is not positive.
     """
     lengths = {"amplitude": amplitudes_m, "wavelength": wavelengths_m, "distance": distance_m, "track": track_m}
     for name, length_m in lengths.items():

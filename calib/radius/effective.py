@@ -147,12 +147,10 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
 
 
 def effective_radii(campaign: Campaign) -> EffectiveRadii:
-    """Return the effective radius of each wheel and run that can be used.
+    """Return the effective radius of each wheel and run that can be used; RefusedError where none can.
 
     The path is corrected by the weave in a run's log, the measured heading at its end, or measured amplitude and
     wavelength; never by total counts, which would make the radii equal.
-
-    Raises RefusedError where no run can be used.
     """
     campaign, left_out, notes = usable_runs(campaign)
     runs, encoder, path = campaign.runs, campaign.encoder, correct_paths(campaign)

@@ -183,10 +183,9 @@ def ingest_notes(campaign: Campaign) -> list[list[str]]:
 
 
 def write_result(fit: Fit, folder: Path, *, force: bool = False) -> Path:
-    """Write a result folder: ``fit.json``, and ``runs.csv`` for other programs.
+    """Write a result folder, made where missing: ``fit.json``, which is returned, and ``runs.csv`` for other programs.
 
-    `folder` is made where missing; returned is ``fit.json``. Raises BadInputError where the folder holds a result and
-    `force` is False, or cannot be written.
+    Raises BadInputError where it holds a result and `force` is False, or cannot be written.
     """
     document = fit.to_dict()
     text = csv_text(list(document["runs"][0]), (row.values() for row in document["runs"]))
@@ -215,7 +214,7 @@ def is_result(path: Path) -> bool:
 def read_result(path: Path) -> Fit:
     """Read a fit from a result folder or from its ``fit.json``.
 
-    Raises BadFileError where the file is missing, is not JSON, is not a fit, or has been changed since it was written.
+    Raises BadFileError where the file is missing, no JSON, no fit, or changed since it was written.
     """
     if path.is_dir():
         settle(path)
