@@ -22,7 +22,7 @@ def main() -> None:
     except KeyboardInterrupt:
         _stop()
     if status == _INTERRUPTED:
-        # where it passed through an exec(), as of a dataclass, the interpreter would end by the signal, not by a status
+        # through an exec(), as of a dataclass, the interpreter would end by the signal, not by a status
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError):
                 stream.flush()
@@ -38,7 +38,7 @@ def _status(run: Callable[..., int]) -> Any:
         raise KeyboardInterrupt
 
     def settle() -> bool:
-        # what is written is whole and one line says the rest: an interruption changes nothing any more
+        # what is written is whole: an interruption changes nothing any more
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         return bool(interruptions)
 

@@ -104,7 +104,7 @@ def _doubles(value: Any) -> Any:
     return value
 
 
-#: draws and words every result; looked up by name, so that no stage imports what stands above it
+#: draws and words every result; by name, so that no stage imports what stands above it
 PRESENTATION: Final = "calib.reporting.topics"
 PAGES: Final = "calib.reporting.pages"
 SENTENCES: Final = "calib.gap.decision.sentences"

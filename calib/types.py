@@ -87,7 +87,7 @@ def rows_of(columns: Mapping[str, FloatArray]) -> list[dict[str, float]]:
 
 GRAVITY_MPS2: Final = 9.81
 
-#: way that a radian of turning counts as in the random walks of a pose, a hand's width: a turn on the spot slips too
+#: way that a radian of turning counts as in the random walks of a pose: a turn on the spot slips too
 WAY_PER_RAD_M: Final = 0.1
 
 #: suffix as calib writes it -> suffixes as labs write it, each with its factor

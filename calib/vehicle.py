@@ -13,7 +13,7 @@ from calib.types import GRAVITY_MPS2, FloatArray, floats, rows_of
 Drive = Literal["tricycle", "differential", "mecanum", "ackermann", "skid"]
 #: below it a length or a mass is a typing error
 Positive = Annotated[float, Field(ge=1e-12)]
-#: skid steering turns about an effective track of 1.2 to 2.5 times the geometric one (Mandow et al., IROS 2007)
+#: a skid's effective track: 1.2 to 2.5 times the geometric one (Mandow et al., IROS 2007)
 SKID_TRACK: Final = 2.5
 
 

@@ -42,7 +42,7 @@ WHOLE_TURN_RAD: Final = 0.8
 SENSE_RAD: Final = 1.0
 #: what ends at 0 or 360 degrees scatters about it by less
 ABOUT_ZERO_RAD: Final = 0.1
-#: readings that tell a held reference, the part of them that stand alike, and the times their smallest step they go on
+#: readings that tell a held reference, the part that stands alike, and its usual over its smallest step
 _FEWEST_HELD, _MOSTLY_HELD, _MANY_DIGITS = 10, 0.8, 4.0
 #: a first pose so far from zero, in stated uncertainties, is not in the start frame
 MAP_START_SIGMAS: Final = 8.0

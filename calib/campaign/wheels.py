@@ -272,7 +272,7 @@ def _integral(rate: FloatArray, t_s: FloatArray, logs: Logs) -> FloatArray:
 MAX_WHEEL_DIFFERENCE: Final = 0.02
 #: on a straight line the distances measured and rolled agree to this share
 DISTANCE_AGREEMENT: Final = 0.05
-#: share of the way to which wheels a thousandth apart roll alike once in fifty times; those of the smoothest real robot
+#: share of the way to which wheels a thousandth apart roll alike once in fifty times; the smoothest real robot's
 #: part by five times more over 40 m
 ALIKE_BY_CHANCE: Final = 2.5e-5
 #: fewer may roll equal wheels by chance

@@ -272,7 +272,7 @@ def _labelled(vehicles: Sequence[str], labels: Labels) -> Iterator[tuple[str, st
 
 
 def _differences(vehicles: Sequence[str], values: Columns, labels: Labels) -> list[tuple[LabelDifference, BoolArray]]:
-    # the most significant first: beside a label that differs all others seem to differ the other way
+    # the most significant first: beside one that differs all others seem to, the other way
     residual, labelled = {name: column.copy() for name, column in values.items()}, [*_labelled(vehicles, labels)]
     differences = []
     for _ in range(len(labelled) * len(residual)):

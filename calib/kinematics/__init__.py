@@ -192,7 +192,7 @@ class Recording:
 FEW_OFF: Final = 0.25
 #: how near to a whole turn nominal wheels tell a few turns
 WHOLE_TURN: Final = 0.1
-#: total turn up to which the nominal vehicle, 5 % off, tells a missing turn from its own error
+#: total turn up to which a vehicle 5 % off tells a missing turn from its own error
 MOST_TURNS_RAD: Final = 10.0 * np.pi
 #: a heading that turns by less between two samples, twice what the wheels say, is followed
 FOLLOWED_RAD: Final = 1.0

@@ -20,9 +20,9 @@ from calib.kinematics.solve import solve
 from calib.kinematics.uncertainty import ENOUGH_RUNS, FEWEST_CLUSTERS, flattened, left_within, whitened
 from calib.types import BoolArray, FloatArray, IntArray, StrArray, few_digits
 
-#: residual over noise that is a lack of fit: chance makes a mean square of 9 in no campaign of ten runs
+#: residual over noise that is a lack of fit: no chance makes a mean square of 9 of ten runs
 LACK_OF_FIT: Final = 3.0
-#: a residual below this share of distance or rotation is as small as wheel odometry gets (recordings: 0.1 to 0.5 %)
+#: share of distance or rotation that wheel odometry leaves at best (recordings: 0.1 to 0.5 %)
 SMALL_SHARE: Final = 0.005
 #: what leaves more of the error held out explains nothing
 USELESS_SHARE: Final = 0.9
@@ -46,7 +46,7 @@ OUTLIER_CHANCE: Final = 0.01
 FEW_OUTLIERS: Final = 0.1
 #: share of runs beyond noise that makes a result doubtful
 MANY_OUTLIERS: Final = 0.25
-#: a reference nearer to the nominal odometry than this share of the distance is a copy of it: 24 um in 8 m
+#: a reference nearer to the nominal odometry, as a share of the distance, is a copy: 24 um in 8 m
 COPIED_SHARE: Final = 3e-6
 #: or, where its wheels were counted, within so many counts: each of two begins and ends within one
 COPIED_COUNTS: Final = 2.0
@@ -333,7 +333,7 @@ def _along(fitted: Fitted, outliers: Sequence[str], noise_m: float) -> Iterator[
         )
 
 
-#: what then tells the wheels apart is how much a bent path shortens a run: a square, alike to either side
+#: what then tells the wheels apart, how a bent path shortens a run, is a square: alike to either side
 LENGTHS_ALONE: Final = (
     "lengths of straight runs alone do not tell the wheels apart, nor the track; 'calib fit' takes the runs for "
     "straight, and end headings (ref_theta_rad, a gyro) or closed loops tell the wheels apart"

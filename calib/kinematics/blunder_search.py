@@ -22,11 +22,11 @@ from calib.kinematics.readings import Change, Reading, Setting, implausible, rea
 from calib.kinematics.solve import LONGEST, RIDGE, solve
 from calib.types import FloatArray
 
-#: a reading is named that leaves less than this part of what the recording leaves as it stands: a quarter in squares
+#: a reading is named that leaves less than this part of what the recording leaves: a quarter in squares
 CLEARLY_LESS: Final = 0.5
 #: and less than this share of the distance travelled: what a calibrated vehicle may leave
 SMALL_SHARE: Final = 0.03
-#: a right reading's displacements are as long as the wheels' within this factor, and point their way, in rad
+#: a right reading's displacements are as long as the wheels' within this factor, and point their way (rad)
 SAME_LENGTH: Final = 1.3
 SAME_WAY_RAD: Final = 0.3
 #: axes turned by less are a sensor's mounting, which is estimated

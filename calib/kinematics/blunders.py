@@ -25,7 +25,7 @@ TURNS_RAD: Final = 0.1
 SLOWEST_OF_ROWS_RADPS: Final = 0.2
 #: part of a spike that is left of it one sample later
 SPIKE_LEFT: Final = 0.1
-#: a steering angle that reads more straight ahead was never zeroed: assembly leaves hundredths
+#: a steering angle that reads more straight ahead was never zeroed
 FARTHEST_ZERO_RAD: Final = 0.1
 #: standard deviations by which a sign must stand out
 CLEAR: Final = 5.0
@@ -323,7 +323,7 @@ def wheels_faults(recording: "Recording", segments: "Segments", drive: "Drive") 
     least = min(left for (left, _), *_ in scored)
     if least > CLEARLY_LESS * as_it_stands:
         return recording, ()
-    # of readings that differ by half a turn of the sensor, the one that turns it less is likelier
+    # of two half a turn of the sensor apart the one that turns it less is likelier
     _, changed, fault = min((one for one in scored if one[0][0] <= ALIKE * least + 1e-9), key=lambda one: one[0][1])
     return changed, (fault,)
 

@@ -264,7 +264,7 @@ class Mecanum:
         return Motion(radius * body, derivative)
 
 
-#: the curvature is tan(angle) / (L (1 + understeer v^2)): front tyres slip more than rear ones; see `lengthening`
+#: the curvature is tan(angle) / (L (1 + understeer v^2)); see `lengthening`
 UNDERSTEER: Final = "understeer_s2_per_m2"
 #: the rear axle moves at the angle -side_slip v^2 curvature to its heading
 SIDE_SLIP: Final = "side_slip_s2_per_m"

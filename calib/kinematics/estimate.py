@@ -26,7 +26,7 @@ from calib.types import FloatArray, Progress, silent, stepped
 
 Using = Literal["end_poses", "windows"]
 
-#: a finer division is taken whose intervals are at most this much wider: a bad measurement spoils less
+#: a finer division is taken whose intervals are hardly wider: a bad measurement spoils less
 AS_GOOD: Final = 1.25
 #: heading errors beyond this bend the path by more than a linear model allows
 BENT_RAD: Final = 0.1

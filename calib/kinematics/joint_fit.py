@@ -24,7 +24,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: a direction with more than this part of the prior spread left is not determined
 TOLERATED: Final = 0.5
-#: a radius further from nominal, relative, is one of wrong counts or units: a factor of two, less for the tyre
+#: a radius further from nominal, relative, is of wrong counts or units: a factor of two, less the tyre
 GROSS: Final = 0.45
 #: radii over nominal that no unit or count makes: kilometres make a thousandth
 NOTHING: Final = 5e-4
@@ -177,7 +177,7 @@ CHANCE: Final = 0.001
 #: how far from the common delay one is sought, and in how many steps
 TRIED: Final = 51
 OFFSETS_S: Final = np.linspace(-0.5, 0.5, TRIED)
-#: gain of log likelihood from which another common delay is begun from: three standard deviations
+#: gain of log likelihood that another common delay begins at: three standard deviations
 CLEARLY_LIKELIER: Final = 4.5
 #: for a recording's own delay
 FEWEST_BLOCKS: Final = 4

@@ -28,7 +28,7 @@ SHORT_CHORD: Final = 0.5
 Sensed = tuple[FloatArray, FloatArray, FloatArray]
 #: a late reference of a vehicle that starts moves by less of its speed
 ON_THE_MOVE: Final = 0.75
-#: runs are replicates whose path and displacement differ by less than this share of the path, and turns by so much
+#: replicates differ in path and displacement by less than this share of the path, and in turn by less
 REPLICATE_SHARE: Final = 0.05
 REPLICATE_TURN_RAD: Final = 0.3
 #: and speeds by less than this share: what is set is kept to a tenth

@@ -91,7 +91,7 @@ INNER: Final = 40
 NOISE_STRETCHES: Final = 500
 #: a step below this part of a standard deviation ends the search; one below it squared ends the steps within
 CLOSE: Final = 1e-3
-#: a change within a step below this part of it ends the steps within: the next linearisation corrects more
+#: a change within a step below this part of it ends the steps within
 INEXACT: Final = 1e-2
 #: a step of the noise's variances that gains less log likelihood is the last: some fall for ever
 STEADY: Final = 1e-3

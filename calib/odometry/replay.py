@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 
-#: as the simulator believes; with the law's radii, unladen; at the load of each run, or step (Fig. 7)
+#: as the simulator believes; by the law unladen; by the law at the load of each run, or step (Fig. 7)
 METHODS = ("model", "constant", "corrected")
 
 #: ends so many standard deviations off are no chance: fewest runs, and least share

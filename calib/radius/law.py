@@ -23,7 +23,7 @@ UPPER: Final = 0.5 + COVERAGE / 2
 SHARES: Final = 0.5 * (1 - np.cos(np.pi * np.arange(25) / 24))
 #: half steps of the solution; the coverage is then right to 0.15 %
 WELCH_ITERATIONS: Final = 12
-#: with fewer (two sessions) each part has its own t: nodes of equal probability miss the tail (coverage 92.6 %)
+#: with fewer (two sessions) each part has its own t: equal nodes miss the tail (coverage 92.6 %)
 FEWEST_BETWEEN_DOF: Final = 2.0
 #: nodes of equal probability of a chi-squared of few and of many degrees of freedom
 NODES_FEW_DOF: Final = 64

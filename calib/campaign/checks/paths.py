@@ -85,7 +85,7 @@ def _turned_back(moved_m: ComplexArray, rolled_m: ComplexArray) -> ComplexArray:
     return np.asarray(moved_m * near / np.maximum(np.abs(near), 1e-12))
 
 
-#: part of the way whose course follows the heading: 0.8 to 0.97 of real robots, whose sensors stand off the axle
+#: part of the way whose course follows the heading: 0.8 to 0.97 of real robots
 _FOLLOWS: Final = 0.8
 #: times the part unmirrored: routes turning both ways look alike in a mirror
 _CLEARLY: Final = 2.0

@@ -21,7 +21,7 @@ _UNCERTAINTIES, _LEAST_DIFFERENCE_M = 5.0, 0.005
 _OF_ANOTHER_RUN_M, _OF_ANOTHER_RUN = 0.1, 4.0
 #: factor by which an uncertainty is overstated
 _OVERSTATED: Final = 4.0
-#: factor of an understated one (start and end each measured: 1.41), and its standard deviations
+#: factor of an understated one (two readings: 1.41), and its standard deviations
 _UNDERSTATED, _UNDERSTATED_SIGMAS = 1.5, 6.0
 #: largest angle between a straight run's start heading and its end
 _MOST_BEARING_RAD: Final = 0.3
@@ -29,7 +29,7 @@ _MOST_BEARING_RAD: Final = 0.3
 _TRACK_TOLERANCE: Final = 0.05
 #: robust spreads beyond which a run is omitted: its log may be damaged
 _OUTLIER_SPREADS: Final = 5.0
-#: indices of runs; in m offset of the end by the reference, half its heading times the distance, bow by the log
+#: runs; offset of the end by the reference, half its heading times the distance, bow by the log, in m
 _Bows = tuple[IntArray, FloatArray, FloatArray, FloatArray]
 #: most straight runs whose bows are computed, to save time
 _MOST_STRAIGHT_RUNS: Final = 200
@@ -157,7 +157,7 @@ def track_against_bows(campaign: Campaign) -> Iterator[Note]:
     runs, offset, turned, counted = _bows(campaign)
     if not len(runs):
         return
-    # noise of what divides flattens a slope: the ratio lies between the one over the counts' and over the reference's
+    # noise of what divides flattens a slope: the ratio lies between that over the counts and over the reference
     bowed = offset - turned
     ratio, error = _slope(counted, bowed)
     above = ratio > 1.0

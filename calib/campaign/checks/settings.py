@@ -162,7 +162,7 @@ _STEERED_SENSES: Final[Senses] = (
 _MOST_STEERED_RAD, _SINGLE_SAMPLES = 2.0 * np.pi, 0.01
 #: largest steering angle of a car
 _MOST_CAR_RAD: Final = 1.0
-#: difference of headings and counts that is a finding, and share of it that may remain once corrected
+#: difference of headings and counts that is a finding, and the share that may remain
 _MIN_DIFFERENCE_RAD, _CORRECTED_SHARE = 1.0, 0.1
 #: what remains of a single run: by noise, and as a share of its turn
 _SINGLE_RAD, _SINGLE_SHARE = 0.05, 0.06

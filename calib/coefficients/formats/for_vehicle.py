@@ -159,9 +159,9 @@ def effects_header(file: CoefficientFile, _options: ExportOptions) -> tuple[Arti
     return (Artifact(EFFECTS_NAME, data, (f"not in the header: {', '.join(others)}",) if others else ()),)
 
 
-#: for each wheel: radius, standard uncertainty of the mean, half widths of the 95 % bands of mean and of a single run
+#: of each wheel: radius, standard uncertainty of the mean, half widths of the 95 % bands of mean and single run
 TABLE_COLUMNS: Final = ("radius_{}_m", "radius_{}_std_m", "radius_{}_mean_u95_m", "radius_{}_prediction_u95_m")
-#: significant digits of each: a radius to less than a nanometre, its uncertainties to a part in a million
+#: significant digits: a radius to less than a nanometre, uncertainties to a millionth
 DIGITS: Final = (10, 6, 6, 6)
 ROWS: Final = 41
 LOAD_DECIMALS: Final = 3
@@ -273,7 +273,7 @@ def _name(pair: LoadPair) -> str:
 #: path and turning after which the pose's variances are stated: an aisle and its corner
 PATH_M: Final = 10.0
 TURN_RAD: Final = math.pi / 2.0
-#: motion at which the twist's variances are stated, and the controllers' window: ten samples at 100 Hz
+#: motion at which the twist's variances are stated, and the controllers' window: 0.1 s at 100 Hz
 SPEED_MPS: Final = 1.0
 TURN_RATE_RADPS: Final = 1.0
 WINDOW_S: Final = 0.1

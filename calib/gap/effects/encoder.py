@@ -159,7 +159,7 @@ _REVERSED: Final = "the steering angle has the other sign"
 BLUNDER_MISFIT: Final = 0.08
 #: and a correction is believed where it leaves less than this share of that
 BLUNDER_RESIDUAL_SHARE: Final = 0.2
-#: a run off by more than this share of its length, so many times what all but so few are, is not itself
+#: a run off by this share of its length, so many times what all but so few are, is not itself
 BAD_RUN_MISFIT: Final = 0.2
 BAD_RUN_RATIO: Final = 3.0
 MOST_BAD_RUNS: Final = 0.25

@@ -13,7 +13,7 @@ from calib.gap.observations import POSE, Channel, Observations
 from calib.gap.predict import Path, residuals
 from calib.types import ComplexArray, FloatArray, StrArray
 
-#: a smaller angle is left to `ReferenceYaw`, whose form is linear in it: at 0.1 rad it errs by a two-hundredth
+#: a smaller angle is left to `ReferenceYaw`, linear in it: at 0.1 rad it errs by a two-hundredth
 MIN_TURN_RAD: Final = 0.1
 #: a turned reference keeps lengths
 MAX_STRETCH: Final = 0.2

@@ -50,7 +50,7 @@ class RangefinderOffset(_OfRangefinder):
     title = "a constant offset of the rangefinder"
     implausible = "a start mark or target that moved"
     separates = "several distances, read at rest"
-    # a zero read by the wrong mark is millimetres off; counted from the bumper instead of the axle, half a metre
+    # by the wrong mark millimetres off; from the bumper instead of the axle, half a metre
     parameter = Parameter("offset", "m", typical=5e-3, largest=5e-1)
 
     def too_much(self, path: Path) -> FloatArray:

@@ -263,7 +263,7 @@ def _lost_in_play(observations: Observations, angle: FloatArray, play: float, le
     return np.nan_to_num((angle - through[step, observations.unit]) * (play / wide))
 
 
-#: delays tried beside a short one, the tangent: scaled from 0.27 to 0.3 s a shape is off by a tenth, that by half
+#: delays tried beside the tangent: scaled from 0.27 to 0.3 s a shape is off by a tenth, the tangent by half
 DELAYS_S: Final = (0.1, 0.2, 0.3, 0.4)
 
 

@@ -228,7 +228,7 @@ class DriveSlip(Effect):
         acceleration = rate_per_s(observations, np.abs(observations.speed_mps), 2)
         speeding = np.maximum(acceleration, 0.0)
         front = front_travel_m(observations)
-        # a driven wheel turns too much, never too little; a share common to all runs may be the radius
+        # a driven wheel turns too much; a share common to all runs may be the radius
         weight_varies = float(np.ptp(_over_mean(observations.weight_N))) > 1e-9
         per_acceleration = Parameter("slip_per_mps2", "s2/m", typical=1e-2, largest=1e-1, sign=1)
         common = Parameter("slip_rolling", "1", typical=3e-3, largest=5e-2)

@@ -230,7 +230,7 @@ def _arranged(
     travelled_m = sum(float(each.travelled_m[-1]) for each in references)
     # of three windows one begins and ends on the move
     wanted_m = travelled_m / (WINDOWS_WANTED * max(share, 1.0))
-    # short enough for many windows, long enough that wheels matter; beside noise longer ones tell more
+    # many windows, long enough that wheels matter; beside noise longer ones tell more
     longest_m = max(WINDOW_M, observation.COURSE_SIGMAS * campaign.reference.sigma_xy_m)
     length_m = float(np.clip(wanted_m, min(MIN_WINDOW_TRACKS * setup.model.track_m, WINDOW_M), longest_m))
     ends = np.isfinite(campaign.runs.number("ref_x_m")) & setup.in_map

@@ -68,8 +68,7 @@ class Observation:
     sigma_start_rad: float = 0.0
     #: shape (3,): start in the frame common to all runs, else NaN
     start_pose: FloatArray = field(default_factory=lambda: _nan(3))
-    #: shape (2, 5): error of headings from the course at start and end, a metre of the sensor's place (x, y), a second
-    #: of delay, and of `slips_m`, beyond that of a measured heading
+    #: shape (2, 5): see `Observations`
     course_error: FloatArray = field(default_factory=lambda: np.zeros((2, 5)))
     by_gyro: bool = False
     reference: "ReferencePoses | None" = None  #: of a run, by its log
@@ -266,7 +265,7 @@ def reference_poses(log: Mapping[str, FloatArray], setup: Setup) -> ReferencePos
     return ReferencePoses(rows, poses, travelled, setup.in_map, from_first=setup.in_map)
 
 
-#: poses begin at the sensor's place where the first is off it by a smaller share of its distance from the origin
+#: poses begin at the sensor's place where the first is nearer to it than this share of its distance from the origin
 NEAR_PLACE: Final = 0.25
 
 

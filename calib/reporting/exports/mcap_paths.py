@@ -40,7 +40,7 @@ NUMBER_TYPE, LOG_TYPE = "std_msgs/msg/Float64", "rcl_interfaces/msg/Log"
 Track = tuple[FloatArray, FloatArray]
 
 
-#: what is shown of a run: its label and duration (s), its paths, and by topic the numbers at its end
+#: of a run: label, duration (s), paths, and by topic the numbers at its end
 _ShownRun = tuple[str, float, dict[str, Track], dict[str, float]]
 
 

@@ -37,7 +37,7 @@ ALPHAS: Final = ("alpha1", "alpha2", "alpha3", "alpha4")
 DEFAULT_ALPHA: Final = 0.2
 #: bounds tried, a third of a per cent apart: from a micrometre in a kilometre
 BOUNDS: Final = np.geomspace(1e-15, DEFAULT_ALPHA, 10_000)
-#: rise of the misfit beyond chance: half of the 90 % quantile of chi^2, for a size that cannot be negative
+#: rise of the misfit beyond chance: half of the 90 % quantile of chi^2, of a size of one sign
 BEYOND_CHANCE: Final = 1.353
 FOLDS: Final = 10
 COVERAGE: Final = 0.95
