@@ -32,12 +32,12 @@ EXIT_BAD_INPUT: Final = 2
 EXIT_BUG: Final = 3
 EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
 EXIT_PIPE_CLOSED: Final = 141
-#: characters of the one line about an error; a message that quotes data may hold much of it
+#: characters of the line about an error, which may quote data
 LONGEST_LINE: Final = 2000
 
 #: parameters that say where something is written; every other path is an input
 OUTPUTS: Final = frozenset({"into", "output", "json", "figures", "apply", "html", "tum", "plot"})
-#: commands with further outputs: what one makes, another reads, and the folder that it makes
+#: commands with further outputs
 ALSO: Final[dict[str, frozenset[str]]] = {"init": frozenset({"folder"}), "make": frozenset({"truth"})}
 
 

@@ -18,9 +18,9 @@ from calib.types import BoolArray, FloatArray
 
 #: a run whose wheels turn by less than this in all, to and fro, was guided
 GUIDED_TURN_RAD: Final = 1.0
-#: a heading off by more is no scatter: radii that scatter by half a per mille make 0.02 rad on 20 m
+#: a heading off by more is no scatter: radii off by half a per mille make 0.02 rad on 20 m
 LARGEST_BEND_RAD: Final = 0.05
-#: the derivative by a delay is taken over a typical one: a vehicle that brakes stands at the very end
+#: the derivative by a delay is over a typical one: a vehicle that brakes stands at the very end
 DELAY_STEP_S: Final = 0.05
 
 

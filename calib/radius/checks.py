@@ -17,7 +17,7 @@ MAX_INFLUENCE_SESSIONS: Final = 100
 #: most pairs of session and load tried as misreported; share of squares that they may leave
 MAX_CELLS: Final = 200
 MAX_SQUARES_LEFT: Final = 0.1
-#: most runs tried as outliers, or a fifth of all: Rosner's approximation was tested up to ten
+#: most runs tried as outliers, or a fifth of all: Rosner tested up to ten
 MAX_OUTLIERS: Final = 10
 #: share of the direction's variance that the load does not explain: below, its variance inflation is above ten (Kutner
 #: et al., 10.5)

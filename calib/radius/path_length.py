@@ -28,7 +28,7 @@ MIN_SAMPLES: Final = 16
 MIN_PERIODS: Final = 0.5
 #: six points a period at the most, see `HEADING_POINTS`
 MAX_PERIODS: Final = 42.0
-#: step of the starting values, in periods; below half, so that Gauss-Newton finds the right wave
+#: step of the starting values, in periods: below half, Gauss-Newton finds the right wave
 PERIOD_STEP: Final = 0.25
 #: a fit diverged whose residuals are this factor above a straight line's
 MAX_TREND_RATIO: Final = 3.0
@@ -37,7 +37,7 @@ TINY_RAD: Final = 1e-9
 RADIUS_POWERS: Final = (2, 1, 0, 2, 1, 1, 2)
 #: Gauss-Newton steps; the first keeps the wavelength
 GAUSS_NEWTON_STEPS: Final = 7
-#: largest change of the number of periods in a step: a larger one would jump to another wave
+#: largest change of the number of periods in a step: a larger one jumps to another wave
 MAX_PERIOD_CHANGE: Final = 0.2
 #: u = (2 pi A / lambda)^2 below which a series keeps digits that subtractions lose: relative truncation 5 u^2 / 64
 SERIES_BELOW: Final = 1e-6

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -161,7 +161,7 @@ def turn_direction(campaign: Campaign) -> Iterator[Note]:
 def _turns(campaign: Campaign, clear: BoolArray, against: BoolArray, column: str, finding: str) -> Iterator[Note]:
     columns = f"counts_left, counts_right, {column}"
     if against.any():  # a turn by counts that jumped is none
-        against = against & ~np.isin(np.arange(len(against)), [jump.run for jump in jumps(campaign)])
+        against = against & ~np.isin(np.arange(len(against)), [run for run, *_ in jumps(campaign)])
     if against.sum() > max(1.0, checks.MOST_OF_THE_RUNS * clear.sum()):
         text = f"""in {int(against.sum())} of {int(clear.sum())} turning runs
             ({checks.listed(campaign.runs.run_id[against])}) {finding}; left and right look swapped throughout, or the
@@ -226,34 +226,19 @@ def clock(campaign: Campaign) -> Iterator[Note]:
 
 def count_jumps(campaign: Campaign) -> Iterator[Note]:
     """Find steps of a counter far beyond all others of the log, and overflows."""
-    overflows = grouped(((jump.name, jump.bits), jump.run) for jump in jumps(campaign) if jump.bits)
-    for (name, bits), runs in overflows.items():
+    found = list(jumps(campaign))
+    for (name, bits), runs in grouped(((name, bits), run) for run, name, bits, _ in found if bits).items():
         text = f"""a {bits}-bit counter overflows in {len(runs)} run(s) ({checks.listed(campaign.runs.run_id[runs])});
             give encoder.wrap_bits = {bits} to have the jumps undone"""
         yield checks.column_note(name, text, "count_jump", of="logs")
-    for jump in (jump for jump in jumps(campaign) if not jump.bits):
-        text = f"""{jump.times} jump(s), first in sample {jump.sample} by {jump.counts:.0f} counts where
-            {jump.usual:.0f} are usual; the encoder may have lost contact, or the counter was reset"""
-        yield checks.cell_note(campaign, jump.run, f"log {jump.name}", text, "count_jump")
+    for run, name, bits, text in found:
+        if not bits:
+            text += "; the encoder may have lost contact, or the counter was reset"
+            yield checks.cell_note(campaign, run, f"log {name}", text, "count_jump")
 
 
-class Jump(NamedTuple):
-    """Steps of a counter far beyond all others of a run's log."""
-
-    run: int
-    name: str
-    times: int
-    #: of the first, from 1, and its counts
-    sample: int
-    counts: float
-    #: counts of a step
-    usual: float
-    #: of the counter that overflows so; 0 where it is none
-    bits: int
-
-
-def jumps(campaign: Campaign) -> Iterator[Jump]:
-    """Yield the jumps of each counter of each run."""
+def jumps(campaign: Campaign) -> Iterator[tuple[int, str, int, str]]:
+    """Yield run, counter, width of one that overflows so (else 0) and size of steps far beyond all others of a log."""
     for run, log in campaign.logs.each(20):
         # a gap in time may hold many counts
         time_step = np.diff(log["t_s"]) if "t_s" in log else np.ones(int(campaign.logs.lengths[run]) - 1)
@@ -266,7 +251,8 @@ def jumps(campaign: Campaign) -> Iterator[Jump]:
             if 0 < len(far) <= max(5, 0.01 * len(counted)):
                 first, span = float(counted[far[0]]), np.ptp(log[name])
                 near = (b for b in WIDTHS if span < 2.0**b and abs(abs(first) - 2.0**b) < limit[far[0]])
-                yield Jump(run, name, len(far), int(far[0]) + 2, first, usual, next(near, 0))
+                size = f"first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} are usual"
+                yield run, name, next(near, 0), f"{len(far)} jump(s), {size}"
 
 
 #: slowest and fastest plausible speed of a vehicle

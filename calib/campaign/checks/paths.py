@@ -49,7 +49,7 @@ def _unfollowed(campaign: Campaign) -> Iterator[tuple[int, FloatArray, FloatArra
     # largest lever arm from the axle's middle to the sensor, in tracks
     arm = 1.0 + (vehicle.wheelbase_m + math.hypot(sensor.sensor_x_m, sensor.sensor_y_m)) / vehicle.track_m
     # counts that jump tell no way
-    jumped = {jump.run for jump in jumps(campaign)}
+    jumped = {run for run, *_ in jumps(campaign)}
     for run, log in campaign.logs.each(20, "ref_x_m", "ref_y_m", "counts_left", "counts_right"):
         position = log["ref_x_m"] + 1j * log["ref_y_m"]
         known = np.flatnonzero(np.isfinite(position))

@@ -45,7 +45,7 @@ SET_WITH_SESSIONS: Final = (Family.DRIFT, Family.LOAD, Family.SPEED)
 
 #: place of the walk of the heading among the noise components
 _HEADING_WALK: Final = [name for name, *_ in COMPONENTS].index("heading_walk")
-#: prior precision of a size's difference between groups: a hundred times the size, left to the data
+#: prior precision of a size's difference between groups: left to the data
 DIFFERENCE_PRECISION: Final = 1e-4
 
 

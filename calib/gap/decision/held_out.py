@@ -17,7 +17,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 #: of a closure: nothing held out, the user's simulator ran again with the fix
 RERUN: Final = "none"
-#: resamples of conditions: ends of the 95 % interval then vary by a few per cent of its width
+#: resamples of conditions: the interval's ends vary by a few per cent of its width
 BOOTSTRAPS: Final = 400
 #: folds of conditions or runs: five sixths of the runs stay
 MOST_FOLDS: Final = 6

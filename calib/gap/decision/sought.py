@@ -45,7 +45,7 @@ from calib.types import BoolArray, FloatArray, IntArray
 #: fits about a sensor's place and delay found, two settle one; a step below so many standard uncertainties is the last
 PLACE_PASSES: Final = 8
 CLOSE: Final = 0.1
-#: windows most like another one: where a tenth is off, three of four are by chance in 4 of 1,000
+#: windows most like another: where a tenth is off, three of four are by chance in 4 of 1,000
 ALIKE: Final = 4
 #: headings that agree with the counts within this share of their standard uncertainty, on so many runs, one turning by
 #: so much, are the odometry's
@@ -200,7 +200,7 @@ class Sought:
         return Situation(campaign, right, notes, (*faults, fault), as_counted)
 
     def _is_clockwise(self, campaign: Campaign, fault: Blunder | None) -> bool:
-        # ends of closed paths do not tell counts from headings of the other sense; their course does
+        # of closed paths only the course tells counts from headings of the other sense
         along = replace(self, into_windows=True)
         windows, turned = (
             along._observed(each, self.applied)[0]

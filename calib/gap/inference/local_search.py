@@ -39,7 +39,7 @@ TOLERANCE: Final = 0.15
 MOST_EFFECTS: Final = 6
 #: effects of which all pairs are tried: one may hide the other
 PAIRED: Final = 60
-#: cost of noise too small by 1.4 in one channel of a hundred runs: 30 degrees of freedom err no more
+#: cost of noise too small by 1.4 in a channel of a hundred runs: 30 degrees of freedom err no more
 NOISE_WINDOW: Final = 14.0
 #: of the sizes that choose a model's prior scale
 _RIDGE: Final = 1e-2

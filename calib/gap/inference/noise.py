@@ -39,7 +39,7 @@ REPORTED_EXCESS: Final = 4.0
 STATED_EXCESS: Final = 2.0
 #: a larger one may exceed what grows as noise does by this factor
 MAX_GROWTH_RATIO: Final = 2.0
-#: log of how much likelier repeats may be by their own noise level than by routes' (2 of 58 sound campaigns are)
+#: log of how much likelier repeats may be by their own noise level than by routes' (of 2 in 58 sound campaigns)
 MAX_LOG_RATIO: Final = 4.6
 #: windows joined to a longer one
 JOINED_WINDOWS: Final = (1, 2, 4, 8)
