@@ -359,16 +359,18 @@ def _further(
             f"{few_digits(1e3 * rolled)} mm: the vehicle moves as its wheels do not (it strafes or slides sideways), "
             "or the reference's positions are wrong"
         )
-    rolled_rad = np.abs(whole.recording.steps.turned_rad)
-    radius_m = max(row.nominal for row in fitted.parameters.items if "radius" in row.name)
-    count_m = min(radius_m * float(rolled_rad[rolled_rad > 0.0].min(initial=np.inf)), FINE_M)
-    near = 0.0 < position.before < max(COPIED_SHARE * position.travelled, COPIED_COUNTS * count_m)
-    # a taped length or two agree by chance, and no instrument that well
-    if near and whole.segments.seen[:, 0].sum() >= FEWEST_CLUSTERS:
-        yield (
-            f"position: the reference agrees with the nominal odometry within {few_digits(1e6 * position.before)} um: "
-            "it was computed from the counts; give poses of an instrument of its own"
-        )
+    share_m, n_seen = COPIED_SHARE * position.travelled, whole.segments.seen[:, 0].sum()
+    # a taped length or two agree by chance
+    if n_seen >= FEWEST_CLUSTERS and 0.0 < position.before < max(share_m, COPIED_COUNTS * FINE_M):
+        rolled_rad = np.abs(whole.recording.steps.turned_rad)
+        radius_m = max(row.nominal for row in fitted.parameters.items if "radius" in row.name)
+        count_m = min(radius_m * float(rolled_rad[rolled_rad > 0.0].min(initial=np.inf)), FINE_M)
+        # no instrument agrees that well
+        if position.before < max(share_m, COPIED_COUNTS * count_m):
+            yield (
+                f"position: the reference agrees with the nominal odometry within {few_digits(1e6 * position.before)} "
+                "um: it was computed from the counts; give poses of an instrument of its own"
+            )
     if whole.recording.lengths_alone and {"radius_left_m", "radius_right_m"} & set(fitted.parameters.free_names):
         yield LENGTHS_ALONE
     if fitted.zero_spread_rad and heading.between > SMALL_SHARE * heading.travelled:

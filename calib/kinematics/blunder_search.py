@@ -55,7 +55,7 @@ Divide = Callable[["Campaign", Recording], Segments]
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """Residuals under a hypothesis, and whether it is plausible."""
+    """Residuals under a hypothesis."""
 
     #: rms residual as a share of the distance and rotation
     share: float
@@ -72,8 +72,7 @@ def find_blunder(
 ) -> tuple[Campaign, Recording, Fault] | None:
     """Return corrected settings and recording, and the blunder; None where none explains the data.
 
-    The campaign states vehicle, encoder and noise of the reference. `source`: one of `WHEEL_COLUMNS`;
-    `divide` cuts a recording into segments by a campaign's nominal vehicle.
+    `source`: one of `WHEEL_COLUMNS`; `divide` cuts a recording into segments by a campaign's nominal vehicle.
     """
     try:
         whole = divide(campaign, recording).are_runs_of(recording)

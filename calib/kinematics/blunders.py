@@ -181,7 +181,7 @@ def _of_front(rolled: FloatArray, steer_rad: FloatArray) -> FloatArray:
 def straight_reading_rad(
     rolled: FloatArray, steer_rad: FloatArray, turned_rad: FloatArray, between: Between, *, by_shaft: bool = False
 ) -> float:
-    """Return the steering angle read straight ahead; 0 where near that, NaN where these turns do not follow it.
+    """Return the steering angle read straight ahead; 0 near that, NaN where these turns do not follow it.
 
     A reading delta counted from c turns the vehicle by ``k phi sin(delta - c)``.
 

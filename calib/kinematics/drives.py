@@ -66,7 +66,7 @@ class Parameters:
 
     @staticmethod
     def of(items: Sequence[Parameter], free: Iterable[str]) -> "Parameters":
-        """Return parameters of which those named in `free` are estimated."""
+        """Return parameters, estimated where named in `free`."""
         return Parameters(tuple(items), np.isin([item.name for item in items], list(free)))
 
     @property

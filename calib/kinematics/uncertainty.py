@@ -162,7 +162,7 @@ def whitened(solution: Solution, free: BoolArray) -> tuple[FloatArray, FloatArra
 
 
 def flattened(jacobian: FloatArray) -> FloatArray:
-    """Return a Jacobian, shape (n, 3, n_free), as rows, shape (3 n, n_free)."""
+    """Return a Jacobian (n, 3, n_free) as rows, (3 n, n_free)."""
     return jacobian.reshape(-1, jacobian.shape[2])
 
 
