@@ -234,7 +234,7 @@ def refuse_hostile_document(document: dict[str, object], shown: str) -> None:
 
 #: entries of an input folder searched for a hard link to the target; beyond, it is refused
 MOST_SEARCHED: Final = 200_000
-#: files that calib writes and never reads as measurements: in an input folder they may be replaced
+#: files that calib writes and never reads as measurements: replaced in an input folder, too
 _OUTPUT_SUFFIXES: Final = frozenset({".json", ".pdf", ".png", ".svg", ".html", ".h", ".yaml", ".yml"})
 _FIT: Final = "fit.json"
 #: JSON that is read: a fit, and the cases of a sealed set

@@ -26,7 +26,7 @@ _MAX_PATH: Final = 500
 WIDTHS: Final = (13, 16, 32)
 #: share of the counter's span up to which a step's direction is certain
 _CLEAR_STEP: Final = 0.4
-#: an undone overflow is at most so many times the largest other step: the wheel may be fastest there
+#: an undone overflow is at most so many times the largest other step
 _LIKE_OTHERS: Final = 2.0
 #: nothing is divided by less time between samples
 _SHORTEST_STEP_S: Final = 1e-9

@@ -43,7 +43,7 @@ class OwnNoise:
 
 def own_noise(observations: Observations, left: FloatArray, covariance: FloatArray) -> OwnNoise:
     """Return the noise of what a fit leaves (n_units, 6) under its covariance (n_units, 6, 6)."""
-    # exchangeable are units of one condition, where enough, else of one route, else with the same channels
+    # exchangeable are units of one condition, else of one route, else with the same channels
     channels = observations.usable @ (2 ** np.arange(6))
     alike = (observations.condition, observations.kind, np.zeros_like(channels))
     rings = [np.unique(by.astype(np.int64) * 64 + channels, return_inverse=True)[1] for by in alike]

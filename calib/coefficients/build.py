@@ -41,7 +41,7 @@ MIN_LOAD_MARGIN_N: Final = 1.0
 MAX_STEP_M: Final = 0.5
 MAX_GAP_S: Final = 1.0
 LOAD_TABLE_LINES: Final = 64
-#: a load weighed a hundred times scatters over five standard deviations, each below one load's
+#: a load weighed a hundred times scatters over five standard deviations
 LOAD_SCATTER: Final = 4.0
 #: standard deviation of the relative slope where no loads were driven: 1 % per kN
 SLOPE_STD_PER_N: Final = 1e-5

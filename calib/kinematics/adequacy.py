@@ -32,7 +32,7 @@ WORTH_SHARE: Final = 0.5
 WRONG_SHARE: Final = 0.05
 #: folds in which runs are held out: each fit still sees four fifths of them
 FOLDS: Final = 5
-#: of fewer runs one is held out where the others keep this part of what is told: twice the spread
+#: of fewer runs one is held out where the others keep this part of what is told
 LEAST_TOLD: Final = 0.25
 #: and of any number: what one fold alone tells (a taped length) no other predicts
 CARRIED_ALONE: Final = 0.01
@@ -48,7 +48,7 @@ FEW_OUTLIERS: Final = 0.1
 MANY_OUTLIERS: Final = 0.25
 #: a reference nearer to the nominal odometry, as a share of the distance, is a copy: 24 um in 8 m
 COPIED_SHARE: Final = 3e-6
-#: or, where its wheels were counted, within so many counts: each of two begins and ends within one
+#: or, where its wheels were counted, within so many counts: both ends of two wheels
 COPIED_COUNTS: Final = 2.0
 FINE_M: Final = 2e-4
 #: least turn that heading residuals are held against: of less the reference's noise is most

@@ -206,7 +206,7 @@ def straight_reading_rad(
         straight *= np.sign((straight * most.conjugate()).real)
         found_rad = float(np.angle(straight))
     left = np.sum((turned_rad - by_sine * ways[0] - by_cosine * ways[1]) ** 2)
-    # from the largest zero that a fit finds: where that leaves as little, these turns do not tell
+    # where the largest zero that a fit finds leaves as little, these turns do not tell
     near_rad = float(np.copysign(FARTHEST_ZERO_RAD, found_rad))
     by_near = np.cos(near_rad) * ways[0] - np.sin(near_rad) * ways[1]
     alone = total - (by_near @ turned_rad) ** 2 / max(by_near @ by_near, 1e-12)

@@ -93,7 +93,7 @@ NOISE_STRETCHES: Final = 500
 CLOSE: Final = 1e-3
 #: a change within a step below this part of it ends the steps within
 INEXACT: Final = 1e-2
-#: a step of the noise's variances that gains less log likelihood is the last: some fall for ever
+#: a step of the noise's variances that gains less log likelihood is the last
 STEADY: Final = 1e-3
 #: pull to the nominal values, in parts of the information: only for solvability
 RIDGE: Final = 1e-10
@@ -190,7 +190,7 @@ def solve(
             converged = True
             break
         part = LONGEST / max(float(np.max(np.abs(spreads), initial=0.0)), LONGEST)
-        # a delay's derivative is the speed over some samples, and its root no minimum: shorter steps find nothing
+        # a delay's derivative is the speed over some samples: shorter steps find nothing
         least_part = INEXACT / max(sigmas, INEXACT) / part
         advanced = _advance(model, (values, prediction), part * step, least_part, whitener, nominal)
         if advanced is None and number >= noise_rounds - 1:

@@ -59,7 +59,7 @@ def own_directions(names: Sequence[str], values: FloatArray) -> FloatArray:
     return out
 
 
-#: cosines for n blocks: this times n^(2/3), so that of many blocks only the slower part counts
+#: cosines for n blocks: this times n^(2/3): of many the slower part counts
 COSINES: Final = 3.3
 #: how much steeper than level a spectrum may be, over the square of the frequency
 STEEPNESS: Final = np.concatenate([-np.logspace(2.0, -1.0, 13), [0.0], np.logspace(-1.0, 2.0, 13)])
@@ -72,7 +72,7 @@ def _cosines(n: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _level_at_zero(powers: FloatArray, squares: FloatArray, dof: float) -> tuple[float, float, FloatArray]:
-    # the mixture over steepness is met by an inverse chi squared of the same mean and variance of the logarithm
+    # the mixture over steepness by an inverse chi squared of the same mean and variance of the logarithm
     raised = 1.0 + np.abs(STEEPNESS)[:, None] * squares
     shapes = np.where(STEEPNESS[:, None] >= 0.0, raised, 1.0 / raised)
     levels = np.maximum((powers / shapes).mean(axis=1), 1e-300)

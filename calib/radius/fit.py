@@ -34,7 +34,7 @@ MIN_SPAN_K: Final = 1.0
 USUAL_PER_K: Final = 5e-5
 #: usual relative error of a wheel load
 WEIGHING_ERROR: Final = 0.01
-#: smallest spread of the runs' lengths for the run length check, in standard uncertainties of a distance
+#: smallest spread of the runs' lengths for their check, in standard uncertainties of a distance
 MIN_LENGTH_SPREAD: Final = 30.0
 #: checks that, failed, explain a scatter beyond the instruments'
 EXPLAINED_BY: Final = ("lack_of_fit", "curvature", "influence", "run_length")

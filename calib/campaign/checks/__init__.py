@@ -256,7 +256,7 @@ def assumed_values(campaign: Campaign) -> Iterator[Note]:
         yield Note("suspicious" if set(WEIGHTY) & set(keys) else "info", "campaign.toml", text, "assumed")
 
 
-#: squared correlation with the load beyond which a covariate may move the slope beyond its interval
+#: squared correlation with the load beyond which a covariate moves the slope beyond its interval
 MAX_LOAD_R2: Final = 0.5
 #: fewest runs for a law
 FEWEST_OF_A_LAW: Final = 3

@@ -187,7 +187,7 @@ def wheel_loads(campaign: Campaign) -> Iterator[Note]:
 
 #: robust spreads beyond which a load does not scatter by the payload's place
 _LOAD_SPREADS: Final = 6.0
-#: contradicted loads, all too large or all too small, that have a common cause (by chance 2 in 2^8)
+#: contradicted loads, all to one side, that have a common cause (by chance 2 in 2^8)
 _TO_ONE_SIDE: Final = 8
 #: relative error of static loads: a centre of mass is known to 1 to 2 cm
 _STATICS: Final = 0.02

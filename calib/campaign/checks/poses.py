@@ -106,7 +106,7 @@ def _shared_offsets(values: FloatArray, session: StrArray, allowed: float) -> It
 
 
 def _bows(campaign: Campaign) -> _Bows:
-    # unequal radii leave the offset less half the heading times the distance alone, a wrong track scales it
+    # unequal radii leave the offset less half the heading times the distance, a wrong track scales it
     runs, logs = campaign.runs, campaign.logs
     theta = runs.number("ref_theta_rad")
     used = np.flatnonzero(_straight(campaign) & np.isfinite(theta) & (np.abs(theta) < 0.3) & (logs.lengths >= 20))

@@ -257,7 +257,7 @@ _GRID_RATIO: Final = 0.6180339887498949
 _SPEED_WINDOW_S: Final = 0.2
 _LEAST_CORRELATION: Final = 0.5
 _LEAST_SPEED_CHANGE: Final = 0.02
-#: lags of computers, then those of clocks (GPS time is 18 s ahead of UTC); at its border no lag is stated
+#: of computers, then of clocks (GPS time is 18 s ahead of UTC); at its border no lag is stated
 _LARGEST_LAGS_S: Final = (2.0, 20.0)
 
 

@@ -36,7 +36,7 @@ _POINT_OR_COMMA: Final = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)
 #: 1,234 is 1.234 in one country and 1234 in another
 _AMBIGUOUS: Final = re.compile(r"[+-]?[1-9]\d{0,2}[,.]\d{3}", re.ASCII)
 _GROUPED: Final = re.compile(r"[+-]?[1-9]\d{0,2}([., '’\xa0\u202f])\d{3}(?:\1\d{3})*(?:(?!\1)([.,])\d*)?", re.ASCII)
-#: a whole number as long would have a mark between thousands where others have; a year would not
+#: so long a whole number has marks between thousands where others have; a year has none
 UNMARKED_DIGITS: Final = 5
 _HEX: Final = re.compile(r"0x[\da-f]+", re.ASCII | re.IGNORECASE)
 

@@ -279,7 +279,7 @@ TURN_RATE_RADPS: Final = 1.0
 WINDOW_S: Final = 0.1
 #: variances of height, roll and pitch, which odometry in the plane does not measure
 UNSEEN: Final = (1e6, 1e6, 1e6)
-#: uncalibrated standard uncertainties: a length (relative), the steering's zero (one degree), its scale
+#: uncalibrated standard uncertainties: a length (relative), the steering's zero (1 degree), its scale
 LENGTH_STD: Final = 0.01
 STEERING_ZERO_STD_RAD: Final = math.radians(1.0)
 STEERING_SCALE_STD: Final = 0.01

@@ -19,7 +19,7 @@ MIN_TURN_RAD: Final = 0.1
 MAX_STRETCH: Final = 0.2
 #: a turn and a place are unknown: with fewer runs they explain anything
 MIN_TURNED_RUNS: Final = 4
-#: shares of what the angle explains: of what it leaves, and of what bends the heading, at most
+#: shares of what the angle explains: what it leaves, and what bends the heading, at most
 TURN_RESIDUAL_SHARE: Final = 0.2
 #: of an end's heading where none is measured: radii unequal by a hundredth, over ten tracks
 HEADING_ERROR_RAD: Final = 0.1

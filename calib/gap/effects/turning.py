@@ -239,8 +239,7 @@ class DriveSlip(Effect):
         both = (per_acceleration, rolling)
         # from rest to rest both cancel
         gains = bool((np.abs(observations.total(front * speeding)) > 1e-4).any())
-        # where it drives the odometry, a share alike in all runs, or by the load, is its radius: rubber gives way by
-        # more than it slips
+        # where it drives the odometry, a share alike in all runs, or by the load, is its radius
         share_shows = not observations.by_front
         slips: list[tuple[str, FloatArray | None, list[Perturbation], tuple[Parameter, ...]]] = []
         for name, force in _forces_N(observations).items():
