@@ -136,9 +136,22 @@ def _draw(recipe: Recipe, seed: int, max_runs: int, redraw: int) -> Truth:
             near = tuple(rivals(among)[:8])
             if recipe.group == "single":
                 best, own = _ceilings(among, recipe, seed)
-    typical = tuple(find(cause.effect, cause.form).typical for cause in causes)
-    shown = tuple(causes), typical, signals, beside, near
-    return Truth(recipe, seed, max_runs, redraw, *shown, noise, model, len(design), best, own)
+    return Truth(
+        recipe=recipe,
+        seed=seed,
+        max_runs=max_runs,
+        redraw=redraw,
+        causes=tuple(causes),
+        typical=tuple(find(cause.effect, cause.form).typical for cause in causes),
+        signals=signals,
+        beside=beside,
+        rivals=near,
+        noise=noise,
+        model=model,
+        n_runs=len(design),
+        ceiling=best,
+        own_ceiling=own,
+    )
 
 
 def _ceilings(among: Alternatives, recipe: Recipe, seed: int) -> list[Ceiling | None]:

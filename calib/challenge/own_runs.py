@@ -311,11 +311,21 @@ def challenge_own(
     work = partial(_diagnosed, light, observations, readings, noise, seed, began + seconds)
     answers = each(work, jobs, workers, lambda done: progress(done, len(jobs), "diagnoses"))
     by_plant = grouped((plant, answer) for (plant, _), answer in zip(jobs, answers, strict=True) if answer is not None)
-    found = tuple(replace(plant, answers=tuple(by_plant.get(plant, ()))) for plant in plants)
-    counted = len(light.runs), len(observations), int(noise.repeated.sum())
-    told = *counted, found, tuple(by_plant.get(None, ())), left_out
-    done, took_s = sum(answer is not None for answer in answers), time.monotonic() - began
-    return Own(campaign.name, campaign.simulated, diagnosis.kind.value, *told, len(jobs), done, seed, took_s)
+    return Own(
+        campaign=campaign.name,
+        simulated=campaign.simulated,
+        own_verdict=diagnosis.kind.value,
+        runs=len(light.runs),
+        units=len(observations),
+        units_with_repeats=int(noise.repeated.sum()),
+        found=tuple(replace(plant, answers=tuple(by_plant.get(plant, ()))) for plant in plants),
+        empty=tuple(by_plant.get(None, ())),
+        left_out=left_out,
+        asked=len(jobs),
+        done=sum(answer is not None for answer in answers),
+        seed=seed,
+        seconds=time.monotonic() - began,
+    )
 
 
 def _diagnosed(

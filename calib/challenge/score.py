@@ -210,10 +210,17 @@ def score_of(cases: list[Judged], *, purpose: str = "", truth_sha256: str = "") 
             "in_group": share([case.first or case.in_group for case in of_signal]),
             "covered": share([bool(case.covered) for case in of_signal]),
         }
-    ceilings = {signal: _ceilings(singles, float(signal)) for signal in by_signal}
-    reliability = _reliability([statement for case in cases for statement in case.statements])
-    figures = board, by_signal, ceilings, reliability, _confusion(cases), _summary(cases)
-    return Score(purpose, truth_sha256, *figures, tuple(cases))
+    return Score(
+        purpose=purpose,
+        truth_sha256=truth_sha256,
+        cases=tuple(cases),
+        board=board,
+        by_signal=by_signal,
+        ceilings={signal: _ceilings(singles, float(signal)) for signal in by_signal},
+        reliability=_reliability([statement for case in cases for statement in case.statements]),
+        confusion=_confusion(cases),
+        summary=_summary(cases),
+    )
 
 
 def _ceilings(singles: list[Judged], signal: float) -> dict[str, float | None]:

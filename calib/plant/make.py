@@ -65,10 +65,18 @@ def campaign_of(world: World, noise: Noise, draw: NoiseDraw, record: Record, n_r
     table = RunTable(labels=labels, numbers=columns, excluded=np.zeros(len(design), dtype=bool), line=number + 2)
     sigmas = (noise.laser_m, noise.ref_xy_m, noise.ref_theta_rad)
     laser_m, xy_m, theta_rad = (float(f"{sigma * noise.stated_ratio:.2g}") for sigma in sigmas)
-    encoder, instruments = Encoder(design.counts_per_rev, design.counts_per_rev), Rangefinder(sigma_m=laser_m)
-    sections = design.vehicle, encoder, world.model, instruments, Reference(xy_m, theta_rad)
-    logs = _logs(world, noise, draw, record, counts, poses) if logged else Logs.empty(len(design))
-    return Campaign(None, "campaign", True, *sections, table, logs)
+    return Campaign(
+        root=None,
+        name="campaign",
+        simulated=True,
+        vehicle=design.vehicle,
+        encoder=Encoder(design.counts_per_rev, design.counts_per_rev),
+        model=world.model,
+        rangefinder=Rangefinder(sigma_m=laser_m),
+        reference=Reference(sigma_xy_m=xy_m, sigma_theta_rad=theta_rad),
+        runs=table,
+        logs=_logs(world, noise, draw, record, counts, poses) if logged else Logs.empty(len(design)),
+    )
 
 
 def _logs(world: World, noise: Noise, draw: NoiseDraw, record: Record, counts: FloatArray, poses: FloatArray) -> Logs:

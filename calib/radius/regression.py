@@ -120,11 +120,18 @@ class WheelFit:
     def law(self) -> WheelLaw:
         """The law for odometry and export; its ``dof`` is the smaller of those of radius and slope."""
         radius, slope = self.estimate.coefficients.tolist()
-        dof = float(self._dof.min()) if self.model == "line" else self.dof_radius_ref
-        std = float(np.sqrt(self.estimate.run_variance + self.estimate.session_variance))
-        loads = float(self.load_N.min()), float(self.load_N.max())
-        line = self.reference_load_N, radius, slope
-        return WheelLaw(*line, self.estimate.covariance, dof, std, *loads, len(self.load_N), self.estimate)
+        return WheelLaw(
+            reference_load_N=self.reference_load_N,
+            radius_ref_m=radius,
+            slope_m_per_N=slope,
+            covariance=self.estimate.covariance,
+            dof=float(self._dof.min()) if self.model == "line" else self.dof_radius_ref,
+            residual_std_m=float(np.sqrt(self.estimate.run_variance + self.estimate.session_variance)),
+            load_min_N=float(self.load_N.min()),
+            load_max_N=float(self.load_N.max()),
+            n_runs=len(self.load_N),
+            strata=self.estimate,
+        )
 
     @cached_property
     def _dof(self) -> FloatArray:
@@ -296,12 +303,21 @@ def fit_wheel(
     influence = ols.get_influence()
     with np.errstate(divide="ignore", invalid="ignore"):
         cook = np.nan_to_num(influence.cooks_distance[0], nan=0.0, posinf=0.0)
-    fitted = design, reference_load_N, estimate, naive
-    r_squared = float(ols.rsquared) if naive and ols.centered_tss > 0 else 0.0
-    residual = radius - estimate.coefficients[0] - estimate.coefficients[1] * x
-    runs = load, radius, residual, np.asarray(influence.hat_matrix_diag), np.asarray(cook)
-    std_m = float(np.sqrt(ols.mse_resid))
-    return WheelFit(wheel, *fitted, r_squared, std_m, *runs, autocorrelation=autocorrelation)
+    return WheelFit(
+        wheel=wheel,
+        design=design,
+        reference_load_N=reference_load_N,
+        estimate=estimate,
+        naive=naive,
+        r_squared=float(ols.rsquared) if naive and ols.centered_tss > 0 else 0.0,
+        residual_std_m=float(np.sqrt(ols.mse_resid)),
+        load_N=load,
+        radius_m=radius,
+        residual_m=radius - estimate.coefficients[0] - estimate.coefficients[1] * x,
+        leverage=np.asarray(influence.hat_matrix_diag),
+        cook=np.asarray(cook),
+        autocorrelation=autocorrelation,
+    )
 
 
 def least_squares(x: FloatArray | None, y: FloatArray) -> "RegressionResults":
