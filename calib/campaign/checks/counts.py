@@ -238,21 +238,25 @@ def count_jumps(campaign: Campaign) -> Iterator[Note]:
 
 
 def jumps(campaign: Campaign) -> Iterator[tuple[int, str, int, str]]:
-    """Yield run, counter, width of one that overflows so (else 0) and size of steps far beyond all others of a log."""
-    for run, log in campaign.logs.each(20):
-        # a gap in time may hold many counts
-        time_step = np.diff(log["t_s"]) if "t_s" in log else np.ones(int(campaign.logs.lengths[run]) - 1)
-        stretch = np.maximum(1.0, time_step / max(float(np.median(time_step)), 1e-9))
-        for name in (name for name in log if name.startswith("counts_")):
-            counted = np.diff(log[name])
-            usual = float(np.percentile(np.abs(counted / stretch), 95))
-            limit = (6 * usual + 50) * stretch
-            far = np.flatnonzero(np.abs(counted) > limit)
-            if 0 < len(far) <= max(5, 0.01 * len(counted)):
-                first, span = float(counted[far[0]]), np.ptp(log[name])
-                near = (b for b in WIDTHS if span < 2.0**b and abs(abs(first) - 2.0**b) < limit[far[0]])
-                size = f"first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} are usual"
-                yield run, name, next(near, 0), f"{len(far)} jump(s), {size}"
+    """Yield the run of each of `jumps_of` its log."""
+    return ((run, *jump) for run, log in campaign.logs.each(20) for jump in jumps_of(log))
+
+
+def jumps_of(log: Mapping[str, FloatArray]) -> Iterator[tuple[str, int, str]]:
+    """Yield counter, width of one that overflows so (else 0) and size of steps far beyond all others of a log."""
+    # a gap in time may hold many counts
+    time_step = np.diff(log.get("t_s", np.arange(len(next(iter(log.values()))))))
+    stretch = np.maximum(1.0, time_step / max(float(np.median(time_step)), 1e-9))
+    for name in (name for name in log if name.startswith("counts_")):
+        counted = np.diff(log[name])
+        usual = float(np.percentile(np.abs(counted / stretch), 95))
+        limit = (6 * usual + 50) * stretch
+        far = np.flatnonzero(np.abs(counted) > limit)
+        if 0 < len(far) <= max(5, 0.01 * len(counted)):
+            first, span = float(counted[far[0]]), np.ptp(log[name])
+            near = (b for b in WIDTHS if span < 2.0**b and abs(abs(first) - 2.0**b) < limit[far[0]])
+            size = f"first in sample {far[0] + 2} by {first:.0f} counts where {usual:.0f} are usual"
+            yield name, next(near, 0), f"{len(far)} jump(s), {size}"
 
 
 #: slowest and fastest plausible speed of a vehicle

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.campaign import checks
 from calib.campaign.checks import LEAST_RUNS, column_note, rolled_m
-from calib.campaign.checks.counts import jumps
+from calib.campaign.checks.counts import jumps_of
 from calib.campaign.checks.measurements import factor_reason, odd_sessions
 from calib.campaign.checks.poses import position_unit_hint
 from calib.campaign.model import Campaign, Note
@@ -48,8 +48,6 @@ def _unfollowed(campaign: Campaign) -> Iterator[tuple[int, FloatArray, FloatArra
     least = max(_LOST_M, _LOST_SIGMAS * sensor.sigma_xy_m)
     # largest lever arm from the axle's middle to the sensor, in tracks
     arm = 1.0 + (vehicle.wheelbase_m + math.hypot(sensor.sensor_x_m, sensor.sensor_y_m)) / vehicle.track_m
-    # counts that jump tell no way
-    jumped = {run for run, *_ in jumps(campaign)}
     for run, log in campaign.logs.each(20, "ref_x_m", "ref_y_m", "counts_left", "counts_right"):
         position = log["ref_x_m"] + 1j * log["ref_y_m"]
         known = np.flatnonzero(np.isfinite(position))
@@ -60,7 +58,7 @@ def _unfollowed(campaign: Campaign) -> Iterator[tuple[int, FloatArray, FloatArra
         first = np.append(0, np.flatnonzero(np.diff(position[known])) + 1)
         last = np.append(first[1:], len(known)) - 1
         after = np.minimum(last + 1, len(known) - 1)
-        if len(known) < LEAST_RUNS or run in jumped:
+        if len(known) < LEAST_RUNS:
             continue
         turning = np.exp(0.5j * (heading[1:] + heading[:-1]))
         by_wheels = np.append(0.0, np.cumsum(np.diff(way) * turning))
@@ -73,7 +71,8 @@ def _unfollowed(campaign: Campaign) -> Iterator[tuple[int, FloatArray, FloatArra
         stand = np.abs(way[last] - way[first])
         off_m = np.maximum(stand, leap)
         most = least + _UNUSUAL * np.quantile(np.append(off_m, 0.0), 0.9, method="lower")
-        if (far := off_m > most).any():
+        # counts that jump tell no way
+        if (far := off_m > most).any() and not any(jumps_of(log)):
             between_s = log["t_s"][known[np.stack([first, after], axis=1)[far]]]
             yield run, between_s, off_m[far], (stand > leap)[far], (np.maximum(stand, aside) > most)[far]
 

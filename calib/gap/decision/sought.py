@@ -268,16 +268,15 @@ def refuse_copied(campaign: Campaign, nominal: Path) -> None:
 
 def lone_run(situation: Situation) -> dict[str, float]:
     """Return the run, by id, its share off, that is three times as far off its nearest repeat as any other."""
-    from scipy.spatial import KDTree
-
     noise, observations = situation.noise, situation.observations
     if observations.windowed or situation.omitted or noise.dof <= 0.0:
         return {}
     whole, off = recalibrate(situation.nominal, noise), np.zeros(len(observations))
     left = np.where(observations.usable, whole.left / (noise.floor * np.sqrt(noise.weight)[:, None]), 0.0)
-    for alike in (np.flatnonzero(observations.condition == one) for one in set(observations.condition)):
+    for alike in (observations.condition == one for one in set(observations.condition)):
         # from the nearest: of a pair none is the one that is off
-        off[alike] = KDTree(left[alike]).query(left[alike], 2)[0][:, 1] if len(alike) > 1 else 0.0
+        near = [np.sort(np.square(left[alike] - one).sum(axis=1))[:2] for one in left[alike]]
+        off[alike] = np.sqrt([squares[-1] for squares in near])
     return _named(whole, np.arange(len(off)), [run]) if (run := furthest(off)) >= 0 else {}
 
 
