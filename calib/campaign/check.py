@@ -242,7 +242,7 @@ def check_campaign(campaign: Campaign, progress: Progress = silent, further: Ite
 
 #: columns that no radius can be computed without
 _NEEDED: Final = ("distance_m", "counts_left", "counts_right", "load_left_N", "load_right_N")
-#: notes of reading that change a result: unused columns, rows that are no runs, joined sessions
+#: notes of reading that change a result
 _OF_READING: Final = frozenset({"no_unit", "look_alike", "summary_row", "session_spelling", "sim_in_logs"})
 #: checks whose findings fit and diagnosis report themselves, or that change neither
 _NOT_OF_RESULTS: Final = frozenset(

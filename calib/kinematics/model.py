@@ -24,7 +24,7 @@ WINDOWS: Final = np.array(
 HALF_CHORD: Final = 0.5 * LEVELS[-1]
 #: chords below this part of the usual one tell a direction by mostly noise
 SHORT_CHORD: Final = 0.5
-#: displacements of a sensor, (n, 3), and derivatives by vehicle and sensor, (n, 3, n_parameters)
+#: displacements of a sensor, (n, 3), and derivatives, (n, 3, n_parameters)
 Sensed = tuple[FloatArray, FloatArray, FloatArray]
 #: a late reference of a vehicle that starts moves by less of its speed
 ON_THE_MOVE: Final = 0.75

@@ -111,7 +111,7 @@ def usable_runs(campaign: Campaign, *, need_load: bool = True) -> tuple[Campaign
         )
         loads = np.full_like(loads, own_N)
     turn = turned_rad(campaign)
-    # turns in proportion to the load difference come from the radii, equal ones from counts_per_rev
+    # turns that go with the load difference are of the radii, equal ones of counts_per_rev
     unusual = line_residuals(loads[0] - loads[1], turn)
     kind = np.char.lower(runs.label("kind"))
     straight = np.char.startswith(kind, "corridor") | np.char.startswith(kind, "straight")

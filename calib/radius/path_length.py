@@ -118,7 +118,7 @@ def correct_paths(campaign: Campaign) -> RunPaths:
     amplitude, wavelength = np.abs(runs.number("amplitude_m")), np.abs(runs.number("wavelength_m"))
     listed = ~logged & np.isfinite(amplitude) & (wavelength > 0)
 
-    # a turn within two standard uncertainties is not corrected, and is uncertainty itself
+    # a turn within two standard uncertainties is not corrected
     significant = np.abs(weaves.yaw_rad) > 2.0 * weaves.yaw_std_rad
     turn = np.where(significant, weaves.yaw_rad, 0.0)
     turn_std = np.hypot(weaves.yaw_std_rad, np.where(significant, 0.0, weaves.yaw_rad))

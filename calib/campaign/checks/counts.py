@@ -294,7 +294,7 @@ def log_speed(campaign: Campaign) -> Iterator[Note]:
         yield checks.column_note("speed_mps", text, "speed_disagrees")
 
 
-#: fewest interruptions of a log; at each, largest relative change of the counts a sample, and fewest counts
+#: fewest interruptions of a log; largest relative change of the counts at each, and fewest counts
 _MIN_INTERRUPTIONS, _MAX_STEP_CHANGE, _MIN_STEP_COUNTS = 5, 0.25, 20
 _GAP: Final = 1.5  #: time steps that lack a row, over the usual one
 

@@ -145,7 +145,7 @@ def heading_turns(campaign: Campaign) -> Iterator[Note]:
             yield checks.cell_note(campaign, int(run), "ref_theta_rad", text, "heading_turn")
 
 
-#: factors on the turns by left wheel, right wheel and reference, and the error that they correct
+#: factors on the turns by left wheel, right wheel and reference, and what they correct
 Senses = tuple[tuple[float, float, float, str], ...]
 _SENSES: Final[Senses] = (
     (1.0, 1.0, 1.0, ""),

@@ -255,10 +255,9 @@ _MAX_GRID_POINTS: Final = 40_000
 #: the grid's step over the wheels' (the golden section): in step with neither stream
 _GRID_RATIO: Final = 0.6180339887498949
 _SPEED_WINDOW_S: Final = 0.2
-_LEAST_CORRELATION: Final = 0.5
 _LEAST_SPEED_CHANGE: Final = 0.02
-#: of computers, then of clocks (GPS time is 18 s ahead of UTC); at its border no lag is stated
-_LARGEST_LAGS_S: Final = (2.0, 20.0)
+#: largest lags, and least correlation that tells one: of computers, of clocks (GPS time is 18 s ahead of UTC)
+_LAGS_S: Final = ((2.0, 0.5), (20.0, 0.8))
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,23 +279,27 @@ def estimate_lag(
 
     `travelled`: distance or heading at its own times, shape (n_samples,).
     """
-    lags = (_lag_within(time_s, travelled, other_time_s, other_travelled, largest) for largest in _LARGEST_LAGS_S)
+    lags = (_lag_within(time_s, travelled, other_time_s, other_travelled, limits) for limits in _LAGS_S)
     return next((lag for lag in lags if lag), None)
 
 
 def _lag_within(
-    time_s: FloatArray, travelled: FloatArray, other_time_s: FloatArray, other_travelled: FloatArray, largest_s: float
+    time_s: FloatArray,
+    travelled: FloatArray,
+    other_time_s: FloatArray,
+    other_travelled: FloatArray,
+    limits: tuple[float, float],
 ) -> Lag | None:
-    """Estimate a lag of less than `largest_s`, see `estimate_lag`."""
+    """Estimate a lag within `limits`, see `estimate_lag`; none at their border."""
     from scipy.optimize import minimize_scalar
     from scipy.stats import t as student
 
     start, end = max(time_s[0], other_time_s[0]), min(time_s[-1], other_time_s[-1])
     own_step, other_step = float(np.median(np.diff(time_s))), float(np.median(np.diff(other_time_s)))
     step = max(own_step, other_step, 1e-3)
-    if not end - start > 4 * _LARGEST_LAGS_S[0]:
+    if not end - start > 4 * _LAGS_S[0][0]:
         return None
-    largest_s = min(largest_s, 0.25 * (end - start))
+    largest_s = min(limits[0], 0.25 * (end - start))
     # interpolated distances are less noisy: a grid in step with a stream prefers such a lag
     grid_step = max(_GRID_RATIO * own_step, (end - start) / _MAX_GRID_POINTS)
     grid = np.arange(start + largest_s, end - largest_s, grid_step)
@@ -317,7 +320,7 @@ def _lag_within(
 
     everything = np.ones(len(grid), dtype=np.bool_)
     # a peak is as wide as the window of a speed
-    candidates = np.arange(-largest_s, largest_s + step, max(step, 0.01 * largest_s / _LARGEST_LAGS_S[0]))
+    candidates = np.arange(-largest_s, largest_s + step, max(step, 0.01 * largest_s / _LAGS_S[0][0]))
     rough = max(candidates, key=lambda lag: correlation(lag, everything))
     bounds = (rough - max(0.05, 2.0 * step), rough + max(0.05, 2.0 * step))
 
@@ -325,7 +328,7 @@ def _lag_within(
         return float(minimize_scalar(lambda lag: -correlation(lag, keep), bounds=bounds, options={"xatol": 1e-6}).x)
 
     lag = peak(everything)
-    if correlation(lag, everything) < _LEAST_CORRELATION or abs(rough) + 0.05 > largest_s:
+    if correlation(lag, everything) < limits[1] or abs(rough) + 0.05 > largest_s:
         return None
     block = np.arange(len(grid)) * _JACKKNIFE_BLOCKS // len(grid)
     estimates = np.asarray([peak(block != number) for number in range(_JACKKNIFE_BLOCKS)])

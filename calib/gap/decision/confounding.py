@@ -32,7 +32,7 @@ WEIGHED_PROBABILITY: Final = 0.01
 Distances = tuple[tuple[str, ...], dict[str, float]]
 #: smallest probability that is listed
 LISTED_PROBABILITY: Final = 1e-4
-#: probability by the model, and the share of such statements that held: a monotone map of
+#: probability by the model, and the share of such statements that held, by
 #: `tests/challenge/learn_map.py`, learnt on named causes of 152 development cases, none scored
 TABLE: Final = (
     (0.0, 0.50, 0.65, 0.75, 0.85, 0.95, 0.99, 0.995, 1.0),
