@@ -244,11 +244,10 @@ def jumps(campaign: Campaign) -> Iterator[tuple[int, str, int, str]]:
 
 def jumps_of(log: Mapping[str, FloatArray]) -> Iterator[tuple[str, int, str]]:
     """Yield counter, width of one that overflows so (else 0) and size of steps far beyond all others of a log."""
-    # a gap in time may hold many counts
-    time_step = np.diff(log.get("t_s", np.arange(len(next(iter(log.values()))))))
-    stretch = np.maximum(1.0, time_step / max(float(np.median(time_step)), 1e-9))
     for name in (name for name in log if name.startswith("counts_")):
-        counted = np.diff(log[name])
+        counted, time_step = np.diff(log[name]), np.diff(log.get("t_s", np.arange(len(log[name]))))
+        # a gap in time may hold many counts
+        stretch = np.maximum(1.0, time_step / max(float(np.median(time_step)), 1e-9))
         usual = float(np.percentile(np.abs(counted / stretch), 95))
         limit = (6 * usual + 50) * stretch
         far = np.flatnonzero(np.abs(counted) > limit)
